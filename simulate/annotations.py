@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from objconnect.scene.bundle.covisibility import Covisibility, surface_points, visible_share
 from objconnect.scene.bundle.frames import LAYERS
 from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.bundle.thermal import counts_path
 from objconnect.scene.storage.digests import sha256
-from objconnect.scene.storage.images import read_rgb
+from objconnect.scene.storage.images import read_counts, read_rgb
 
 # A frame's surface is sampled at a grid of 16 x 16 points, so that shares are multiples of 1/256.
 _PER_SIDE = 16
@@ -43,7 +44,8 @@ def _depths(scene: Scene) -> Iterator[NDArray[np.float32]]:
 
 
 def pixel_digests(scene: Scene) -> dict[str, dict[str, str]]:
-    """Return the SHA-256 of the pixels of every frame: of its "image" and of each layer.
+    """Return the SHA-256 of the pixels of every frame: of its "image", of each layer and of
+    "thermal", the counts of 16 bits of a session that has them.
 
     Compressed files differ between versions of libraries; pixels do not. The digest is that of the
     array's bytes, row by row, little-endian.
@@ -58,6 +60,9 @@ def pixel_digests(scene: Scene) -> dict[str, dict[str, str]]:
             for k, (name, camera) in enumerate(zip(frames.names, frames.cameras, strict=True)):
                 arrays = {"image": read_rgb(scene.images_root / name, camera)}
                 arrays |= {layer: layers.read(layer, k) for layer in LAYERS if layers.has(layer)}
+                if scene.sessions[session].thermal is not None:
+                    path = counts_path(scene.images_root, name)
+                    arrays["thermal"] = read_counts(path, camera, bits=16)
                 digests[name] = {key: _sha256(array) for key, array in arrays.items()}
     return digests
 

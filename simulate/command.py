@@ -17,21 +17,11 @@ import torch
 from numpy.typing import NDArray
 
 from objconnect.scene.bundle.covisibility import write_covisibility
-from objconnect.scene.bundle.frames import LAYERS, Frames, Layer, read_frames, write_frames
-from objconnect.scene.bundle.labels import CLASSES
-from objconnect.scene.bundle.manifest import (
-    Manifest,
-    Objects,
-    SceneObject,
-    Session,
-    Splits,
-    Surroundings,
-    read_json,
-    size_class,
-    write_json,
-)
+from objconnect.scene.bundle.frames import LAYERS, Frames, Layer, write_frames
+from objconnect.scene.bundle.manifest import Manifest, Session, read_json, write_json
 from objconnect.scene.bundle.pictures import draw_pictures
 from objconnect.scene.bundle.scene import COVISIBILITY, MANIFEST, Scene, finish_scene
+from objconnect.scene.bundle.thermal import Thermal, write_thermal
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.geodesy import geodetic_from_enu
@@ -49,14 +39,15 @@ from simulate.camera.sensor import expose
 from simulate.config import SessionConfig, SimulateConfig
 from simulate.flight.clearance import check_flight
 from simulate.flight.gimbal import velocities
+from simulate.listing import describe_objects, list_splits
 from simulate.look.conditions import condition
 from simulate.place.change import ChangedWorld, change_worlds, list_objects
-from simulate.place.world import World, WorldObject
 from simulate.planner import check_plans, plan_session, session_generator
 from simulate.render.disk import estimate_bytes, require_space
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import RenderError, render
 from simulate.render.remote import render_files, render_remotely
+from simulate.thermal.sensor import describe_thermal, expose_thermal
 
 _CONFIG = f"{TEMPORARY_PREFIX}config.json"
 _RENDERED = f"{TEMPORARY_PREFIX}rendered"
@@ -107,15 +98,16 @@ def _simulate(
         for index, (name, session) in enumerate(zip(names, sessions, strict=True))
     ]
     pixels_per_frame = max(c.width * c.height for c in map(config.photo_camera, config.sessions))
-    require_space(out, estimate_bytes(_count_left(out, names, plans), pixels_per_frame))
+    left = _count_left(out, names, plans)
+    require_space(out, estimate_bytes(left, pixels_per_frame, thermal=config.thermal))
     unfinished.begin()
     if report is not None:
         keep_site(out, base, report)
     with _renderer(jobs, cluster) as renderer:
         for name, session, plan in zip(names, sessions, plans, strict=True):
             _make_session(out, name, session, config, plan, renderer)
-    write_json(out / "objects.json", _objects(base, list_objects(base, worlds)))
-    write_json(out / "splits.json", _splits(out, config))
+    write_json(out / "objects.json", describe_objects(base, list_objects(base, worlds)))
+    write_json(out / "splits.json", list_splits(out, config))
     scene = Scene(out, _manifest(config, worlds))
     write_covisibility(out / COVISIBILITY, measure_covisibility(scene))
     draw_pictures(scene)
@@ -185,7 +177,8 @@ def find_finished(out: Path, config: SimulateConfig) -> Scene | None:
 
 def _dump(config: SimulateConfig) -> dict[str, Any]:
     # Older scenes were rendered with these values, and their manifests lack these fields.
-    earlier = {"site": None, "denoising": "high", "courses": "shared", "change_share": 1.0}
+    earlier = {"site": None, "denoising": "high", "courses": "shared", "change_share": 1.0,
+               "thermal": False}  # fmt: skip
     omitted = {key for key, value in earlier.items() if getattr(config, key) == value}
     return config.model_dump(mode="json", exclude=omitted)
 
@@ -204,6 +197,7 @@ def _manifest(config: SimulateConfig, worlds: Sequence[ChangedWorld]) -> Manifes
                 role=s.role,
                 change=changed.declared,
                 readout_s=config.sensor.readout_s,
+                thermal=_thermal(config, s),
             )
             for name, s, changed in zip(
                 config.session_names(), config.sessions, worlds, strict=True
@@ -213,36 +207,11 @@ def _manifest(config: SimulateConfig, worlds: Sequence[ChangedWorld]) -> Manifes
     )
 
 
-def _objects(place: World, items: Sequence[WorldObject]) -> Objects:
-    def describe(item: WorldObject) -> SceneObject:
-        size = (float(item.size[0]), float(item.size[1]), float(item.size[2]))
-        return SceneObject(
-            id=item.id,
-            class_name=item.class_name,
-            centre=(float(item.centre[0]), float(item.centre[1]), float(item.centre[2])),
-            size=size,
-            yaw_deg=float(np.degrees(item.yaw)),
-            size_class=size_class(size),
-        )
-
-    return Objects(
-        classes=CLASSES,
-        objects=tuple(describe(item) for item in items),
-        surroundings=tuple(
-            Surroundings(name=part.name, outline=tuple((x, y) for x, y in part.outline.tolist()))
-            for part in place.surroundings
-        ),
-    )
-
-
-def _splits(out: Path, config: SimulateConfig) -> Splits:
-    sessions = config.session_names()
-    frames = {name: read_frames(out / "sessions" / name / "frames.h5").names for name in sessions}
-    roles = dict(zip(sessions, (s.role for s in config.sessions), strict=True))
-    return Splits(
-        map=tuple(f for name, names in frames.items() if roles[name] == "map" for f in names),
-        queries={name: names for name, names in frames.items() if roles[name] == "query"},
-    )
+def _thermal(config: SimulateConfig, session: SessionConfig) -> Thermal | None:
+    """Return the record of a session's thermal pictures; None without them."""
+    if not config.thermal:
+        return None
+    return describe_thermal(condition(session.condition, config.origin), config.origin)
 
 
 def render_job(
@@ -272,6 +241,7 @@ def render_job(
         samples=config.spp,
         denoising=config.denoising,
         poses={k: pose.tolist() for k, pose in enumerate(poses)},
+        thermal=config.thermal,
         travel={k: (x, y, z) for k, (x, y, z) in enumerate(travel.tolist()) if any((x, y, z))},
     )
 
@@ -310,7 +280,8 @@ def _make_session(
     frames = _frames(name, poses, config.photo_camera(session), session, config, plan.rng)
     sensor = config.sensor.adapt(condition(session.condition, config.origin).dimness)
     adapted = config.model_copy(update={"sensor": sensor})
-    write_frames(folder / "frames.h5", frames, tuple(LAYERS), _pack(folder, frames, adapted))
+    packed = _pack(folder, frames, adapted, _thermal(config, session))
+    write_frames(folder / "frames.h5", frames, tuple(LAYERS), packed)
     shutil.rmtree(rendered)
 
 
@@ -381,9 +352,9 @@ def draw_drift(count: int, memory: float, rng: np.random.Generator) -> NDArray[n
 
 
 def _pack(
-    folder: Path, frames: Frames, config: SimulateConfig
+    folder: Path, frames: Frames, config: SimulateConfig, thermal: Thermal | None = None
 ) -> Iterator[dict[Layer, NDArray[Any]]]:
-    """Write every rendered frame's photograph and yield its annotations."""
+    """Write every rendered frame's photograph and thermal pictures, and yield its annotations."""
     (folder / "images").mkdir(exist_ok=True)
     camera = frames.cameras[0]
     for k, name in enumerate(frames.names):
@@ -397,4 +368,8 @@ def _pack(
             rng = np.random.default_rng([config.seed, *name.encode()])
             picture = expose(layers["rgb"], config.sensor, rng)
             write_jpeg(folder.parent / name, picture, exif, config.jpeg_quality)
+            if thermal is not None:
+                noise = np.random.default_rng([config.seed, *name.encode(), *b"thermal"])
+                counts = expose_thermal(layers["thermal"], thermal, noise)
+                write_thermal(folder.parent, name, counts, thermal)
             yield {layer: layers[layer] for layer in LAYERS}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -18,7 +18,6 @@ from simulate.camera.sensor import SensorConfig
 from simulate.flight.config import (
     MAP_PLAN,
     QUERY_PLAN,
-    WRITTEN_WITH_PATH,
     Flight,
     FlightPlan,
     NadirFlight,
@@ -30,13 +29,13 @@ from simulate.place.change import Change
 from simulate.place.presets import SITE, preset
 from simulate.render.job import Denoising
 from simulate.seeds import MAX_SEED, change_generator
+from simulate.session_words import Role, parse_session
 from simulate.twin.options import LEAST_SITE_M, SiteConfig
 
 # The most samples per pixel that Cycles accepts.
 _MOST_SAMPLES = 1 << 24
 _MIN_SIDE_M = 120.0  # least side of a procedural place, for streets and blocks
 NotNegative = Annotated[float, Field(ge=0)]
-Role = Literal["map", "query"]
 
 
 class SessionConfig(Config):
@@ -253,6 +252,10 @@ class SimulateConfig(Config):
     sensor: SensorConfig = Field(
         SensorConfig(), description="Effects of lens and sensor on the photographs."
     )
+    thermal: bool = Field(
+        False,
+        description="Whether each photograph has thermal pictures of 16 and 8 bits beside it.",
+    )
     jpeg_quality: int = Field(95, ge=1, le=100, description="Quality of the JPEGs, 1 to 100.")
     origin: Geodetic = Field(
         DEFAULT_ORIGIN,
@@ -287,7 +290,7 @@ class SimulateConfig(Config):
         if not isinstance(sessions, list | tuple):
             return sessions
         return tuple(
-            _parse_session(item, first=k == 0) if isinstance(item, str) else item
+            parse_session(item, first=k == 0) if isinstance(item, str) else item
             for k, item in enumerate(sessions)
         )
 
@@ -372,30 +375,3 @@ class SimulateConfig(Config):
             seen[base] = seen.get(base, 0) + 1
             names.append(base if seen[base] == 1 else f"{base}-{seen[base]}")
         return tuple(names)
-
-
-def _parse_session(text: str, first: bool) -> dict[str, object]:
-    name, colon, flight = text.partition(":")
-    if not colon:
-        raise ValueError(f"a session is written condition:flight[:role][:change], got {text!r}")
-    session: dict[str, object] = {"condition": name, "role": "map" if first else "query"}
-    # A path may contain colons.
-    has_path = flight.partition("=")[0] in WRITTEN_WITH_PATH
-    head, _, last = flight.rpartition(":")
-    if head and (last.partition("=")[0] in Change.model_fields if has_path else "=" in last):
-        session["change"] = dict(_parse_setting(word) for word in last.split(","))
-        flight = head
-    head, _, last = flight.rpartition(":")
-    if head and (last in get_args(Role) or not has_path):
-        session["role"] = last
-        flight = head
-    return session | {"flight": flight}
-
-
-def _parse_setting(word: str) -> tuple[str, str]:
-    key, equals, value = word.partition("=")
-    if not equals:
-        raise ValueError(
-            f"a change is written NAME=VALUE[,NAME=VALUE...], such as cars_moved=0.3; got {word!r}"
-        )
-    return key, value

@@ -42,7 +42,8 @@ ROOMS = {
     "flight": {"place"},
     "camera": set(),
     "twin": {"place", "look"},
-    "render": {"place", "look", "camera"},
+    "thermal": {"place", "look"},
+    "render": {"place", "look", "camera", "thermal"},
 }
 # Libraries that only one module or room may import.
 ADAPTERS = {

@@ -68,6 +68,13 @@ def resample(
     }
 
 
+def resample_values(values: NDArray[np.float32], xy: Array) -> NDArray[np.float32]:
+    """Interpolate an image (h, w) linearly at positions (H, W, 2), COLMAP pixels."""
+    corners, weights = _corners(xy)
+    terms = (w * values[c] for c, w in zip(corners, weights, strict=True))
+    return np.asarray(sum(terms), np.float32)
+
+
 def resample_colour(rgb: NDArray[np.uint8], xy: Array) -> NDArray[np.uint8]:
     """Interpolate the colours of an image (h, w, 3) at positions (H, W, 2) by Catmull-Rom cubics.
 

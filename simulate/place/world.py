@@ -126,17 +126,24 @@ class Ground:
     tone: NDArray[np.uint8]
     markings: tuple[Marking, ...]
 
+    def texel(self, x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the row and the column at world x, y (metres, of any one shape), mirrored beyond
+        the raster."""
+        n = len(self.labels)
+        column, row = (
+            _reflect(np.floor(np.asarray(c, float) / self.texel_m + 0.5 * n).astype(np.int64), n)
+            for c in (x, y)
+        )
+        return row, column
+
     def label(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.uint8]:
         """Return the semantic label at world x, y (metres, of any one shape).
 
         The labels are mirrored within ``MIRRORED_M`` beyond the raster, and are grass farther out.
         """
-        n = len(self.labels)
-        beyond = np.maximum(np.abs(x), np.abs(y)) - 0.5 * n * self.texel_m
-        column, row = (
-            _reflect(np.floor(np.asarray(c, float) / self.texel_m + 0.5 * n).astype(np.int64), n)
-            for c in (x, y)
-        )
+        half_m = 0.5 * len(self.labels) * self.texel_m
+        beyond = np.maximum(np.abs(x), np.abs(y)) - half_m
+        row, column = self.texel(x, y)
         return np.asarray(
             np.where(beyond < MIRRORED_M, self.labels[row, column], CLASSES["grass"]), np.uint8
         )

@@ -22,12 +22,13 @@ from PIL import Image
 from objconnect.scene.runtime.memory import resident_bytes
 from objconnect.scene.storage.scratch import scratch
 from simulate.camera.pinhole import PinholeCamera
-from simulate.camera.resample import resample
+from simulate.camera.resample import resample, resample_values
 from simulate.look import conditions, ground
 from simulate.look.conditions import Condition
 from simulate.look.cover import cover
 from simulate.look.individual import individual_mesh
 from simulate.look.lamps import Beam, beams
+from simulate.look.light import add_light
 from simulate.look.materials import build_materials
 from simulate.look.mesh import Mesh
 from simulate.look.props import shape_mesh
@@ -44,12 +45,14 @@ from simulate.render.frame import (
     row_shift,
     save_layers,
     semantic_labels,
+    world_rays,
 )
 from simulate.render.job import Board, FrameDone, RenderChunk, RenderJob, frame_path
 from simulate.render.precipitation import precipitate
 from simulate.render.process import end_with, keep_to_one_core
 from simulate.render.reach import Reach, depth_inside
 from simulate.render.shutter import roll_shutter
+from simulate.thermal.camera import Baked, ThermalCamera
 
 _SENSOR_MM = 36.0
 # Cycles offsets the first ray of a pixel by this much (px) to the right and up, because it samples
@@ -69,14 +72,14 @@ def main(chunk_path: str) -> None:
     if chunk.threads == 1:
         keep_to_one_core()
     job = chunk.job
-    world = stage = condition = None
+    world = stage = condition = thermal = None
     if job.board is not None:
         _build_board(job.board)
     else:
         base = preset(job.preset, job.prepared)(job.seed, job.area_m)
         world = change_world(base, job.change, job.first_new_id).world
         condition = conditions.condition(job.condition, job.origin)
-        _build_scene(world, condition)
+        thermal = _thermal_camera(job, world, condition, _build_scene(world, condition))
         stage = _Stage(world, condition)
     _set_up_render(job, chunk.threads)
     bpy.context.scene.cycles.use_denoising = job.board is None  # denoising shifts edges of a board
@@ -101,13 +104,19 @@ def main(chunk_path: str) -> None:
             if condition is not None:
                 drops = np.random.default_rng([job.seed, frame, 6])
                 arrays["rgb"] = precipitate(arrays["rgb"], job.camera, pose, condition, drops)
+            radiance = None
+            if thermal is not None and world is not None:
+                radiance = _radiance(thermal, world, job.camera, pose, travel, arrays)
             if chunk.rays is not None:
                 c = job.camera
                 xy, boxes = c.f * rays + [c.cx, c.cy], caster.small_object_boxes(pose, c.f)
                 arrays = resample(arrays, xy, rays, caster.cast_from(pose), boxes)
+                radiance = None if radiance is None else resample_values(radiance, xy)
             if world is not None:
                 shift = row_shift(travel, len(rays))
                 arrays["semantic"] = semantic_labels(world, rays, pose, shift, arrays)
+            if radiance is not None:
+                arrays["thermal"] = radiance
             save_layers(path, arrays)
             done = FrameDone(frame=frame, seconds=round(time.monotonic() - start, 3))
             print(done.model_dump_json(), file=reports, flush=True)
@@ -128,8 +137,8 @@ def _claim_stdout() -> TextIO:
 # --- the scene ---------------------------------------------------------------------------------
 
 
-def _build_scene(world: World, condition: Condition) -> None:
-    """Add the world under a condition to an empty Blender file."""
+def _build_scene(world: World, condition: Condition) -> Baked:
+    """Add the world under a condition to an empty Blender file, and return its ground."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     if world.imagery is None:
         covered = cover(world, condition)
@@ -168,7 +177,22 @@ def _build_scene(world: World, condition: Condition) -> None:
             placed.scale = item.size
         if item.class_name == "building":  # the origin of its mesh is at the ground
             placed.location.z -= 0.5 * item.size[2]
-    _add_light(condition)
+    add_light(bpy.data, bpy.context.scene, condition)
+    return Baked(albedo, specular)
+
+
+def _thermal_camera(
+    job: RenderJob, world: World, condition: Condition, baked: Baked
+) -> ThermalCamera | None:
+    """Return the thermal camera of a job, for which Cycles writes materials and coordinates."""
+    if not job.thermal:
+        return None
+    layer = bpy.context.scene.view_layers[0]
+    layer.use_pass_material_index = layer.use_pass_uv = True
+    names = sorted(material.name for material in bpy.data.materials)
+    for number, name in enumerate(names, 1):
+        bpy.data.materials[name].pass_index = number
+    return ThermalCamera(world, condition, job.origin, names, baked)
 
 
 def _build_board(board: Board) -> None:
@@ -213,37 +237,6 @@ def _add(name: str, data: Any) -> Any:
     item = bpy.data.objects.new(name, data)
     bpy.context.scene.collection.objects.link(item)
     return item
-
-
-def _add_light(condition: Condition) -> None:
-    """Add the sun, and a sky that is brighter towards the horizon."""
-    lamp, sun = bpy.data.lights.new("sun", "SUN"), condition.luminary
-    lamp.energy, lamp.color, lamp.angle = sun.watts, sun.rgb, np.radians(sun.angle)
-    elevation, azimuth = np.radians([sun.elevation, sun.azimuth])
-    _add("sun", lamp).rotation_euler = (0.5 * np.pi - elevation, 0.0, np.pi - azimuth)
-
-    sky = bpy.data.worlds.new("sky")
-    bpy.context.scene.world = sky
-    sky.use_nodes = True
-    tree = sky.node_tree
-    tree.nodes.clear()
-    direction = tree.nodes.new("ShaderNodeTexCoord").outputs["Generated"]
-    split = tree.nodes.new("ShaderNodeSeparateXYZ")
-    ramp = tree.nodes.new("ShaderNodeValToRGB")
-    background = tree.nodes.new("ShaderNodeBackground")
-    output = tree.nodes.new("ShaderNodeOutputWorld")
-    ramp.color_ramp.elements[0].color = (*condition.sky.horizon, 1.0)
-    ramp.color_ramp.elements[1].color = (*condition.sky.zenith, 1.0)
-    ramp.color_ramp.elements[1].position = 0.6
-    background.inputs["Strength"].default_value = condition.sky.strength
-    tree.links.new(direction, split.inputs[0])
-    tree.links.new(split.outputs["Z"], ramp.inputs["Fac"])
-    tree.links.new(ramp.outputs["Color"], background.inputs["Color"])
-    tree.links.new(background.outputs[0], output.inputs["Surface"])
-    # Rays from surfaces sample a smooth sky well. Sampling it as a lamp would take half of the
-    # shadow rays from the sun, a third more time, and add noise.
-    sky.cycles.sampling_method = "NONE"
-    bpy.context.scene.view_settings.exposure = condition.exposure
 
 
 def _add_beam(name: str, beam: Beam) -> Any:
@@ -373,12 +366,32 @@ def _render(
     depth = np.where(depth < _NO_SURFACE_M, depth - ahead[:, None], 0)
     normal = np.stack([channels[f"Normal.{axis}"] for axis in "XYZ"], -1)
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-6)
-    return {
+    layers = {
         "rgb": np.asarray(Image.open(picture).convert("RGB")),
         "depth": depth.astype(np.float32),
         "instance": np.rint(channels["IndexOB.X"]).astype(np.uint16),
         "normal": np.rint(127 * normal).astype(np.int8),
     }
+    if "IndexMA.X" in channels:
+        layers["material"] = np.rint(channels["IndexMA.X"]).astype(np.uint8)
+        layers["uv"] = np.stack([channels[f"UV.{axis}"] for axis in "UV"], -1)
+    return layers
+
+
+def _radiance(
+    thermal: ThermalCamera,
+    world: World,
+    camera: PinholeCamera,
+    cam_from_world: NDArray[np.float64],
+    travel: NDArray[np.float64],
+    layers: dict[str, NDArray[Any]],
+) -> NDArray[np.float32]:
+    """Return the radiance (H, W) of a frame, and remove the layers that only it needs."""
+    rays, shift = pinhole_rays(camera), row_shift(travel, camera.height)
+    semantic = semantic_labels(world, rays, cam_from_world, shift, layers)
+    view = {**layers, "semantic": semantic}
+    del layers["material"], layers["uv"]
+    return thermal(view, *world_rays(rays, cam_from_world, shift))
 
 
 if __name__ == "__main__":

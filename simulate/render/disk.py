@@ -15,19 +15,23 @@ _RAW_BYTES = 3 + sum(
 # Upper bound of the bytes per pixel of a packed frame. Packing leaves a fifth to a quarter of the
 # raw bytes at 512 px, and more for smaller frames.
 _PACKED_BYTES = 0.5 * _RAW_BYTES
+_RAW_THERMAL_BYTES, _PACKED_THERMAL_BYTES = 4, 3
 
 
-def estimate_bytes(left: dict[str, tuple[int, int]], pixels: int) -> int:
+def estimate_bytes(left: dict[str, tuple[int, int]], pixels: int, *, thermal: bool = False) -> int:
     """Return an upper bound of the disk space that sessions still need, bytes.
 
     Args:
         left: numbers of frames to render and to pack, by session.
         pixels: number of pixels of a frame.
+        thermal: whether frames have thermal pictures.
     """
     packed = sum(to_pack for _, to_pack in left.values())
     # Only one session at a time has unpacked frames.
     unpacked = max((to_render for to_render, _ in left.values()), default=0)
-    return int(pixels * (_PACKED_BYTES * packed + _RAW_BYTES * unpacked))
+    per_packed = _PACKED_BYTES + _PACKED_THERMAL_BYTES * thermal
+    per_unpacked = _RAW_BYTES + _RAW_THERMAL_BYTES * thermal
+    return int(pixels * (per_packed * packed + per_unpacked * unpacked))
 
 
 def require_space(folder: Path, needed: int) -> None:

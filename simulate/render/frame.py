@@ -34,6 +34,18 @@ def pinhole_rays(camera: PinholeCamera) -> NDArray[np.float64]:
     return np.stack([(u - camera.cx) / camera.f, (v - camera.cy) / camera.f], -1)
 
 
+def world_rays(
+    rays: NDArray[np.float64], cam_from_world: NDArray[np.float64], shift: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the rays of pixels in the world: directions (H, W, 3) of depth 1, origins (H, 1, 3).
+
+    The arguments are those of ``semantic_labels``; all lengths are metres.
+    """
+    ahead = np.concatenate([rays, np.ones_like(rays[..., :1])], -1)
+    rotation, translation = cam_from_world[:3, :3], cam_from_world[:3, 3]
+    return ahead @ rotation, (shift - translation @ rotation)[:, None]
+
+
 def semantic_labels(
     world: World,
     rays: NDArray[np.float64],

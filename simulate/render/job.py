@@ -42,6 +42,8 @@ class RenderJob(BaseModel):
       view. None means that the photographs have the pinhole camera.
     - ``travel`` is the displacement of the camera in world metres while a frame is read out from
       top to bottom, by frame. The pose is that of the middle row.
+    - ``thermal`` adds the layer "thermal", the radiance (H, W) float32 between 8 and 14
+      micrometres, W/(m2 sr), without noise.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -61,6 +63,7 @@ class RenderJob(BaseModel):
     denoising: Denoising = "fast"
     poses: dict[int, list[list[float]]]
     travel: dict[int, tuple[float, float, float]] = {}
+    thermal: bool = False
 
     @field_validator("poses")
     @classmethod

@@ -19,6 +19,7 @@ from pydantic import (
 )
 
 from objconnect.scene.bundle.georeference import EXACT_GEOREFERENCE, Georeference
+from objconnect.scene.bundle.thermal import Thermal
 from objconnect.scene.config import describe
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.geodesy import Geodetic, is_on_earth
@@ -86,6 +87,7 @@ class Session(Record):
             for a rolling shutter. Poses are then those of the middle row, the velocity is the
             central difference of the positions, and each row of depth and the other layers belongs
             to the pose of that row.
+        thermal: how thermal pictures of the same poses are coded; None without such pictures.
     """
 
     condition: Condition
@@ -93,6 +95,15 @@ class Session(Record):
     role: Literal["map", "query", "both"]
     change: DeclaredChange = DeclaredChange()
     readout_s: FiniteFloat = 0.0
+    thermal: Thermal | None = None
+
+    @model_serializer(mode="wrap")
+    def _omit_missing_thermal(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        # Older releases refuse unknown keys, so the key is written only if it has a value.
+        values: dict[str, Any] = write(self)
+        if self.thermal is None:
+            values.pop("thermal", None)
+        return values
 
 
 class Manifest(Record):

@@ -26,11 +26,13 @@ from objconnect.scene.bundle.manifest import (
     write_json,
 )
 from objconnect.scene.bundle.supplement import ADDED_FEATURES, SUPPLEMENT, is_added_point
+from objconnect.scene.bundle.thermal import counts_path
 from objconnect.scene.errors import InputError
 from objconnect.scene.maps.colmap_files import MODEL_FILES, RIG_FILES, read_model
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 from objconnect.scene.storage.digests import sha256_of
 from objconnect.scene.storage.files import require_folder
+from objconnect.scene.storage.images import read_counts
 
 MANIFEST = "scene.json"
 COVISIBILITY = "covisibility.h5"
@@ -170,6 +172,30 @@ class Scene:
             InputError: the session is unknown, or its file is missing or damaged.
         """
         return dense_layers(self._frames_path(session))
+
+    def thermal(self, name: str) -> NDArray[np.float32]:
+        """Read the thermal picture of a photograph as brightness temperatures (H, W), kelvin.
+
+        Args:
+            name: image name, relative to the scene's ``sessions`` folder.
+
+        Raises:
+            InputError: the session has no such photograph or no thermal pictures, or the picture is
+                missing or damaged.
+        """
+        session = name.partition("/")[0]
+        frames = self.frames(session)
+        record = self.sessions[session].thermal
+        if record is None:
+            raise InputError(
+                f"session {session} of {self.path} has no thermal pictures: render it with "
+                "thermal: true"
+            )
+        if name not in frames.names:
+            raise InputError(f"scene {self.path} has no photograph {name}")
+        camera = frames.cameras[frames.names.index(name)]
+        counts = read_counts(counts_path(self.images_root, name), camera, bits=16)
+        return record.kelvin(counts)
 
     def layers_of_map(
         self, sparse_map: SparseMap, *layers: Layer

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from objconnect.scene.bundle.frames import Frames
 from objconnect.scene.bundle.scene import Scene
+from objconnect.scene.bundle.thermal import Thermal, check_thermal
 from objconnect.scene.checks.depth_check import DepthFrames, check_depth
 from objconnect.scene.checks.map_check import check_map
 from objconnect.scene.checks.report import Check, Report
@@ -39,6 +40,9 @@ def _checks(scene: Scene) -> Iterator[Check]:
     sessions = {name: scene.frames(name) for name in scene.sessions}
     for name, frames in sessions.items():
         yield _check_images(scene, name, frames)
+        record = scene.sessions[name].thermal
+        if record is not None:
+            yield _check_thermal(scene, name, frames, record)
         yield _check_rigid(name, frames)
         yield _check_priors(name, frames)
     rigid = {name: frames for name, frames in sessions.items() if _is_rigid(frames)}
@@ -65,6 +69,16 @@ def _check_images(scene: Scene, session: str, frames: Frames) -> Check:
         except InputError as error:
             return Check(name, False, str(error))
     return Check(name, True, f"{len(frames)} photographs, each of its camera's size")
+
+
+def _check_thermal(scene: Scene, session: str, frames: Frames, record: Thermal) -> Check:
+    name = f"{session}: thermal pictures are whole"
+    for image, camera in zip(frames.names, frames.cameras, strict=True):
+        try:
+            check_thermal(scene.images_root, image, camera, record)
+        except InputError as error:
+            return Check(name, False, str(error))
+    return Check(name, True, f"{len(frames)} pictures of 16 and 8 bits, each of its camera's size")
 
 
 def _is_rigid(frames: Frames) -> bool:

@@ -90,6 +90,30 @@ def read_rgb(path: Path, camera: Camera | None = None) -> NDArray[np.uint8]:
     return pixels
 
 
+def read_counts(path: Path, camera: Camera, bits: int) -> NDArray[Any]:
+    """Read a grey image as stored, (H, W) uint8 or uint16.
+
+    Args:
+        path: file to read.
+        camera: camera whose size the image must have.
+        bits: bits of a pixel, 8 or 16.
+
+    Raises:
+        InputError: the file is missing, damaged, not a grey image of that many bits, or not of the
+            size of ``camera``.
+    """
+    with _open(path) as image:
+        mode, pixels = image.mode, np.asarray(image)
+    if mode not in {8: ("L",), 16: ("I;16", "I")}[bits] or pixels.ndim != 2:
+        raise InputError(f"image {path} has the mode {mode}, expected grey of {bits} bits")
+    if pixels.shape != (camera.height, camera.width):
+        raise InputError(
+            f"image {path} is {pixels.shape[1]} x {pixels.shape[0]} pixels but its camera is "
+            f"{camera.width} x {camera.height}"
+        )
+    return pixels.astype(np.uint8 if bits == 8 else np.uint16)
+
+
 @contextmanager
 def _open(path: Path) -> Iterator[Image.Image]:
     """Open an image file; errors inside the block are reported like those of opening it."""

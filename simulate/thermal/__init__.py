@@ -1,0 +1,1 @@
+"""The thermal camera: temperatures, long-wave radiance and its pictures."""

@@ -1,0 +1,226 @@
+"""The radiance that reaches a thermal camera from every pixel of a rendered picture.
+
+It is computed from layers that the renderer gives beside the picture, so that both have the same
+geometry. A surface emits by its temperature and emissivity, and reflects the sky and surroundings
+of the air's temperature. The air between adds its own radiance. Surfaces are not mirrored in each
+other, and every pixel shows one point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.scene.bundle.labels import CLASSES
+from objconnect.scene.geometry.geodesy import Geodetic
+from simulate.look.conditions import Condition
+from simulate.look.textures import facade_material, panes
+from simulate.place.world import Facade, World
+from simulate.thermal.engines import Engines
+from simulate.thermal.planck import band_radiance
+from simulate.thermal.shade import Shade
+from simulate.thermal.substances import NAMES, property_array, substance_table
+from simulate.thermal.surfaces import Surfaces
+from simulate.thermal.weather import HOURS, ZERO_C, thermal_weather
+
+Float = NDArray[np.float32]
+Array = NDArray[Any]
+
+_LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722], np.float32)
+_LEAST_ALBEDO, _MOST_ALBEDO = 0.03, 0.88
+_SNOW_ALBEDO: Final = (0.32, 0.55)  # visible albedo at which the ground begins to be snow, and is
+_SNOW_KEPT: Final = 0.6  # share of level surfaces of objects under snow, in seasons of deep snow
+_SNOW_EMISSIVITY: Final = 0.985
+_WET_EMISSIVITY: Final = 0.97
+_WATER_EMISSIVITY: Final = 0.985
+_OPEN_GROUND: Final = ("grass", "field", "path")  # classes that floods cover
+
+
+class Baked(NamedTuple):
+    """The baked images of the ground, row 0 in the south.
+
+    Attributes:
+        albedo: Albedo (n, n, 3) uint8 sRGB.
+        specular: Share (n, n) uint8 of 255 that mirrors, as water does.
+    """
+
+    albedo: NDArray[np.uint8]
+    specular: NDArray[np.uint8]
+
+
+class ThermalCamera:
+    """A thermal camera over a place under a condition.
+
+    Args:
+        world: The place.
+        condition: The condition.
+        origin: The geodetic origin of the place.
+        materials: Names of the renderer's materials, which its pass counts from 1.
+        baked: The ground as the renderer shows it.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        condition: Condition,
+        origin: Geodetic,
+        materials: Sequence[str],
+        baked: Baked,
+    ) -> None:
+        self._world, self._condition, self._baked = world, condition, baked
+        self._materials = ("", *materials)
+        self._weather = thermal_weather(condition, origin)
+        self._surfaces = Surfaces(self._weather, condition.wet)
+        self._shade = Shade(world, self._weather.sun)
+        self._engines = Engines(world)
+        self._substances = substance_table(materials)
+        self._colours = _object_albedos(world)
+
+    def __call__(
+        self, layers: Mapping[str, NDArray[Any]], directions: Array, centres: Array
+    ) -> Float:
+        """Return the radiance (H, W) in the band, W/(m2 sr), without effects of the sensor.
+
+        Args:
+            layers: "depth", "instance", "semantic" and "normal" as in a scene, "material", the
+                number (H, W) of the material, and "uv", its texture coordinates (H, W, 2).
+            directions: Rays (H, W, 3) of the pixels in the world; of depth 1, metres.
+            centres: Their origins, of a shape that broadcasts to (H, W, 3), metres.
+
+        Raises:
+            ValueError: The substance of a surface is not known.
+        """
+        depth = layers["depth"]
+        path = np.linalg.norm(directions, axis=-1)
+        shown = depth > 0
+        radiance = self._weather.sky_radiance(directions[..., 2] / path).astype(np.float32)
+        points = np.asarray(centres + depth[..., None] * directions, np.float32)
+        surface = self._emit(layers, points, shown)
+        through = np.exp(-self._weather.extinction * depth * path)
+        air = band_radiance(self._weather.air_k[0])
+        radiance[shown] = (air + through * (surface - air))[shown]
+        return radiance
+
+    def _emit(self, layers: Mapping[str, NDArray[Any]], points: Float, shown: Array) -> Float:
+        """Return the radiance (H, W) that leaves the surfaces at world points (H, W, 3)."""
+        substance = self._find_substances(layers, shown)
+        normal = layers["normal"].astype(np.float32) / 127
+        albedo, snow, flood = self._look_up(layers, substance, points, normal)
+        sky_view = 0.5 * (1 + normal[..., 2])
+        sunlight = self._gather_sunlight(substance, points, normal, sky_view)
+        kelvin = self._surfaces.temperature(substance, albedo, sunlight, sky_view)
+        kelvin += self._engines(layers["instance"], points)
+        kelvin += flood * (np.float32(self._weather.water_k) - kelvin)
+        kelvin -= snow * np.maximum(kelvin - np.float32(ZERO_C), 0)
+        emissivity = property_array("emissivity")[substance]
+        for share, covering in (
+            (self._condition.wet * np.ones_like(flood), _WET_EMISSIVITY),
+            (flood, _WATER_EMISSIVITY),
+            (snow, _SNOW_EMISSIVITY),
+        ):
+            emissivity += share * np.maximum(covering - emissivity, 0)
+        air = band_radiance(self._weather.air_k[0])
+        around = air + sky_view * (self._weather.mean_sky_radiance - air)
+        return np.asarray(around + emissivity * (band_radiance(kelvin) - around), np.float32)
+
+    def _find_substances(
+        self, layers: Mapping[str, NDArray[Any]], shown: Array
+    ) -> NDArray[np.int16]:
+        """Return the number (H, W) of the substance at each pixel; 0 in the sky."""
+        material, label = layers["material"], layers["semantic"]
+        substance = np.where(shown, self._substances[material, label], np.int16(0))
+        if (substance < 0).any():
+            row, column = np.argwhere(substance < 0)[0]
+            name = next(n for n, k in CLASSES.items() if k == label[row, column])
+            raise ValueError(
+                f"no substance is known for the material {self._materials[material[row, column]]!r}"
+                f" of the class {name!r}"
+            )
+        for style in Facade:
+            wall = shown & (material == self._number(facade_material(style)))
+            if wall.any():
+                glass = panes(style)[..., 0]
+                rows, columns = (
+                    np.floor(layers["uv"][wall][:, axis] * glass.shape[1 - axis]).astype(int)
+                    % glass.shape[1 - axis]
+                    for axis in (1, 0)
+                )
+                substance[wall] = np.where(
+                    glass[rows, columns] > 0, NAMES.index("pane"), substance[wall]
+                )
+        return np.asarray(substance)
+
+    def _number(self, material: str) -> int:
+        return self._materials.index(material) if material in self._materials else -1
+
+    def _look_up(
+        self,
+        layers: Mapping[str, NDArray[Any]],
+        substance: NDArray[np.int16],
+        points: Float,
+        normal: Float,
+    ) -> tuple[Float, Float, Float]:
+        """Return the solar albedo and the shares of snow and of standing water, each (H, W)."""
+        material, instance = layers["material"], layers["instance"]
+        season = self._condition.season
+        albedo = property_array("albedo")[substance]
+        infrared = property_array("infrared")[substance]
+        flood = np.zeros(albedo.shape, np.float32)
+        # Snow on objects is an even cover, where the picture has patches.
+        level = np.clip((normal[..., 2] - 0.35) / 0.4, 0, 1)
+        snow = _SNOW_KEPT * season.snow * (1 - season.thaw) * level
+        colour = np.full(albedo.shape, np.nan, np.float32)
+        for kind, known in self._colours.items():
+            numbers = [k for k, name in enumerate(self._materials) if name.startswith(kind)]
+            of_kind = np.isin(material, numbers)
+            colour[of_kind] = known[instance[of_kind]]
+        ground = material == self._number("ground")
+        row, column = self._world.ground.texel(points[ground, 0], points[ground, 1])
+        visible = _luminance(self._baked.albedo[row, column])
+        colour[ground] = visible
+        low, high = _SNOW_ALBEDO
+        white = np.clip((visible - low) / (high - low), 0, 1) if season.snow > 0 else 0.0
+        snow[ground] = white
+        is_open = np.isin(layers["semantic"][ground], [CLASSES[name] for name in _OPEN_GROUND])
+        flood[ground] = is_open * self._baked.specular[row, column] / np.float32(255)
+        known = np.clip(infrared * colour, _LEAST_ALBEDO, _MOST_ALBEDO)
+        return np.where(np.isnan(colour), albedo, known), snow, flood
+
+    def _gather_sunlight(
+        self, substance: NDArray[np.int16], points: Float, normal: Float, sky_view: Float
+    ) -> Float:
+        """Return the irradiance (H, W) of past hours by the weights of the substances, W/m2."""
+        weights = self._surfaces.weights.astype(np.float32)
+        gathered = np.zeros(substance.shape, np.float32)
+        for k in range(HOURS):
+            if self._weather.diffuse_w[k] <= 0:
+                continue
+            received = np.float32(self._weather.diffuse_w[k]) * sky_view
+            if self._weather.direct_w[k] > 0:
+                facing = np.maximum(normal @ self._weather.sun[k].astype(np.float32), 0)
+                lit = 1 - self._shade(k, points, normal)
+                received = received + np.float32(self._weather.direct_w[k]) * facing * lit
+            gathered += weights[substance, k] * received
+        return gathered
+
+
+def _object_albedos(world: World) -> dict[str, Float]:
+    """Return the visible albedo by object id, for materials whose names begin with the key."""
+    count = max((item.id for item in world.objects), default=0) + 1
+    albedos = {kind: np.full(count, np.nan, np.float32) for kind in ("paint", "facade_", "roof_")}
+    for item in world.objects:
+        albedos["paint"][item.id] = _LUMINANCE @ np.array(item.colour, np.float32)
+        if item.style is not None:
+            for kind, rgb in (("facade_", item.style.wall_rgb), ("roof_", item.style.roof_rgb)):
+                albedos[kind][item.id] = _LUMINANCE @ np.array(rgb, np.float32)
+    return albedos
+
+
+def _luminance(srgb: NDArray[np.uint8]) -> Float:
+    """Return the luminance (...) of sRGB bytes (..., 3), linear, 0 to 1."""
+    s = np.arange(256, dtype=np.float32) / 255
+    linear = np.where(s <= 0.04045, s / 12.92, ((s + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    return np.asarray(linear[srgb] @ _LUMINANCE)

@@ -1,0 +1,180 @@
+"""What surfaces are made of, and how each substance takes and gives heat.
+
+Albedos and emissivities are rounded values within the ranges of Oke, Boundary Layer Climates (2nd
+edition, 1987), for natural and urban materials, and of the emissivity tables of manufacturers of
+thermal cameras for glass, paint and rubber. Time constants are those of the layer that follows the
+weather of hours: its heat capacity by the heat transfer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import Final, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objconnect.scene.bundle.labels import CLASSES, FIRST_OBJECT_LABEL
+from simulate.look.textures import facade_material
+from simulate.place.world import Facade
+
+Behind = Literal["ground", "water", "indoors"]
+
+
+class Substance(NamedTuple):
+    """A substance at a surface.
+
+    Attributes:
+        albedo: Share of sunlight that it reflects, where its colour is not known.
+        infrared: Albedo in sunlight by that of the visible colour, where that is known. Leaves
+            reflect far more near infrared than light.
+        emissivity: Emissivity between 8 and 14 micrometres.
+        hours: Time constant of its temperature, hours.
+        transfer: Heat transfer to the air by convection, W/(m2 K), in light wind.
+        evaporation: Share of the absorbed sunlight that evaporates water.
+        conductance: Heat transfer to what lies behind, W/(m2 K).
+        behind: What lies behind.
+    """
+
+    albedo: float
+    infrared: float
+    emissivity: float
+    hours: float
+    transfer: float = 12.0
+    evaporation: float = 0.0
+    conductance: float = 0.0
+    behind: Behind = "indoors"
+
+
+SUBSTANCES: Final[dict[str, Substance]] = {
+    "asphalt": Substance(0.10, 1.1, 0.95, 2.5, conductance=4.0, behind="ground"),
+    "concrete": Substance(0.28, 1.1, 0.94, 2.5, conductance=5.0, behind="ground"),
+    "gravel": Substance(0.28, 1.1, 0.93, 1.5, conductance=5.0, behind="ground"),
+    "grass": Substance(0.22, 2.3, 0.98, 0.4, 14.0, 0.55, 2.0, "ground"),
+    "soil": Substance(0.18, 1.6, 0.96, 1.2, 12.0, 0.30, 4.0, "ground"),
+    "water": Substance(0.07, 1.0, 0.985, 6.0, 12.0, 0.0, 400.0, "water"),
+    "leaf": Substance(0.22, 2.3, 0.98, 0.1, 30.0, 0.55),
+    "wood": Substance(0.30, 1.2, 0.91, 0.5),
+    "straw": Substance(0.35, 1.2, 0.95, 0.5),
+    "masonry": Substance(0.32, 1.0, 0.92, 4.0, conductance=0.8),
+    "stone": Substance(0.30, 1.0, 0.92, 3.0, conductance=3.0, behind="ground"),
+    "tile": Substance(0.25, 1.2, 0.92, 0.8, 14.0, conductance=0.4),
+    "slate": Substance(0.12, 1.1, 0.90, 0.7, 14.0, conductance=0.4),
+    "bitumen": Substance(0.12, 1.0, 0.92, 0.9, 14.0, conductance=0.3),
+    "bare sheet": Substance(0.35, 1.0, 0.28, 0.2, 16.0, conductance=0.5),
+    "painted sheet": Substance(0.35, 1.0, 0.92, 0.25, 16.0, conductance=0.5),
+    "bodywork": Substance(0.35, 1.0, 0.93, 0.35, 18.0),
+    "iron": Substance(0.25, 1.0, 0.85, 0.6),
+    "rubber": Substance(0.05, 1.0, 0.94, 0.8),
+    "pane": Substance(0.30, 1.0, 0.87, 0.3, conductance=3.0),
+    "solar cell": Substance(0.25, 1.0, 0.88, 0.2, 18.0),
+}
+"""Every substance by its name."""
+
+NAMES: Final = tuple(SUBSTANCES)
+"""The names of the substances; their numbers are the positions."""
+
+# Substance of the ground by class. The ground of a site includes buildings and trees.
+_GROUND: Final[dict[str, str]] = {
+    "grass": "grass",
+    "field": "soil",
+    "road": "asphalt",
+    "pavement": "concrete",
+    "parking": "asphalt",
+    "driveway": "concrete",
+    "path": "gravel",
+    "water": "water",
+    "building": "tile",
+    "tree": "leaf",
+    "hedge": "leaf",
+}
+# Substance of the parts of objects that have no material of their own, by class.
+_OBJECTS: Final[dict[str, str]] = {
+    "building": "masonry",
+    "tree": "wood",
+    "hedge": "leaf",
+    "fence": "wood",
+    "car": "bodywork",
+    "truck": "bodywork",
+    "container": "bodywork",
+    "bench": "wood",
+    "lamp": "iron",
+    "van": "bodywork",
+    "bin": "bodywork",
+    "hydrant": "iron",
+    "sign": "bodywork",
+    "bollard": "stone",
+    "table": "wood",
+    "bale": "straw",
+    "tractor": "bodywork",
+    "pole": "wood",
+    "wire": "iron",
+    "tank": "bodywork",
+    "pallet": "wood",
+    "boat": "bodywork",
+    "panel": "iron",
+    "cabinet": "bodywork",
+    "grave": "stone",
+    "crane": "bodywork",
+}
+# Substance by material, of materials that belong to one.
+_COATINGS: Final[dict[str, str]] = {
+    **{facade_material(style): "masonry" for style in Facade},
+    facade_material(Facade.HALL_CLADDING): "painted sheet",
+    facade_material(Facade.SHED_BOARDS): "wood",
+    "roof_tile": "tile",
+    "roof_slate": "slate",
+    "roof_metal": "bare sheet",
+    "roof_flat": "bitumen",
+    "leaf": "leaf",
+    "needle": "leaf",
+    "street_light": "pane",
+    "headlight": "pane",
+    "tail_light": "pane",
+}
+# Vehicles have tyres and trim where they are not painted.
+_ON_TYRES: Final = ("car", "van", "truck", "tractor")
+
+
+def substance_name(material: str, class_name: str) -> str:
+    """Return the substance of a surface by its material in the picture and its class.
+
+    Raises:
+        ValueError: No substance is known for the two.
+    """
+    is_object = CLASSES[class_name] >= FIRST_OBJECT_LABEL
+    if class_name in _GROUND and (material == "ground" or (material == "plain" and not is_object)):
+        return _GROUND[class_name]
+    if is_object and material in _COATINGS:
+        return _COATINGS[material]
+    if is_object and material in ("plain", "paint", "glass"):
+        if class_name == "panel" and material != "plain":
+            return "solar cell"
+        if material == "glass":
+            return "pane"
+        if material == "plain" and class_name in _ON_TYRES:
+            return "rubber"
+        return _OBJECTS[class_name]
+    raise ValueError(
+        f"no substance is known for the material {material!r} of the class {class_name!r}"
+    )
+
+
+def substance_table(materials: Sequence[str]) -> NDArray[np.int16]:
+    """Return the number of the substance (materials + 1, 256) by material and class label.
+
+    Materials are counted from 1, as in the renderer's pass. The number is -1 where no surface has
+    the two.
+    """
+    table = np.full((len(materials) + 1, 256), -1, np.int16)
+    for row, material in enumerate(materials, 1):
+        for class_name, label in CLASSES.items():
+            with suppress(ValueError):
+                table[row, label] = NAMES.index(substance_name(material, class_name))
+    return table
+
+
+def property_array(name: str) -> NDArray[np.float32]:
+    """Return a numeric attribute of all substances, in the order of ``NAMES``."""
+    return np.array([getattr(SUBSTANCES[each], name) for each in NAMES], np.float32)

@@ -1,0 +1,67 @@
+"""The temperature of surfaces: each follows sun, air and sky with the delay of its substance.
+
+A thin layer takes sunlight, and exchanges heat with the air, the sky and what lies behind it. Its
+balance is linear in its temperature, so that it tends to an equilibrium with a time constant, and
+its temperature is the mean of the equilibria of past hours with exponentially falling weights
+(lumped capacity; Incropera et al., Fundamentals of Heat and Mass Transfer, chapter 5).
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.thermal.substances import NAMES, SUBSTANCES, property_array
+from simulate.thermal.weather import HOURS, STEFAN_BOLTZMANN, ZERO_C, ThermalWeather
+
+Float = NDArray[np.float32]
+
+_INDOORS_K: Final = ZERO_C + 20.0
+_WET_EVAPORATION: Final = 0.5  # of the sunlight on a soaked surface
+
+
+class Surfaces:
+    """The response of every substance to a weather.
+
+    Args:
+        weather: The weather of the past hours.
+        wet: Wetness of surfaces, 0 to 1.
+
+    Attributes:
+        weights: Weight of each past hour by substance, (substances, HOURS); each row has the sum 1.
+    """
+
+    def __init__(self, weather: ThermalWeather, wet: float) -> None:
+        behind = {"ground": weather.ground_k, "water": weather.water_k, "indoors": _INDOORS_K}
+        emissivity = property_array("emissivity")
+        radiative = emissivity * 4 * STEFAN_BOLTZMANN * float(weather.air_k[0]) ** 3
+        conductance = property_array("conductance")
+        exchange = property_array("transfer") + radiative + conductance
+        decay = np.exp(-np.arange(HOURS)[None, :] / property_array("hours")[:, None])
+        self.weights = decay / decay.sum(1, keepdims=True)
+        air = self.weights @ weather.air_k
+        inner = np.array([behind[SUBSTANCES[name].behind] for name in NAMES])
+        self._at_rest = (air + conductance / exchange * (inner - air)).astype(np.float32)
+        self._loss = (emissivity * weather.loss_w / exchange).astype(np.float32)
+        evaporation = np.maximum(property_array("evaporation"), _WET_EVAPORATION * wet)
+        self._gain = ((1 - evaporation) / exchange).astype(np.float32)
+
+    def temperature(
+        self, substance: NDArray[np.int16], albedo: Float, sunlight: Float, sky_view: Float
+    ) -> Float:
+        """Return the temperature of surfaces of any one shape, kelvin.
+
+        Args:
+            substance: Numbers of their substances.
+            albedo: Shares of sunlight that they reflect.
+            sunlight: Irradiance of the past hours by the weights of the substance, W/m2.
+            sky_view: Shares of the sky in what they face, 0 to 1.
+        """
+        return np.asarray(
+            self._at_rest[substance]
+            - self._loss[substance] * sky_view
+            + self._gain[substance] * (1 - albedo) * sunlight,
+            np.float32,
+        )
