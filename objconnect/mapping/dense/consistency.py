@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 import torch
 from torch import Tensor
 
 from objconnect.mapping.dense.options import DEFAULTS, DenseOptions
 from objconnect.mapping.dense.warp import StereoView, Warp, round_trip
+
+# Two maps agree at a pixel where their relative depth difference is below this.
+_SAME_DEPTH: Final = 0.01
 
 
 def count_agreeing(
@@ -32,6 +36,6 @@ def count_agreeing(
     for source, map_of_source in zip(sources, inverse_of_sources, strict=True):
         there, back = Warp.between(reference, source), Warp.between(source, reference)
         error_px, relative_error = round_trip(there, back, map_of_source, x, y, inverse)
-        close = (error_px < options.same_px) & (relative_error.abs() < options.same_depth)
+        close = (error_px < options.same_px) & (relative_error.abs() < _SAME_DEPTH)
         count += close & (inverse > 0)
     return count

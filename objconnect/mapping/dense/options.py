@@ -18,12 +18,6 @@ class DenseOptions(Config):
         description="Two maps agree at a pixel where its reprojection error after a round trip is "
         "below this, px.",
     )
-    same_depth: float = Field(
-        0.01,
-        gt=0,
-        description="Two maps agree at a pixel where their relative depth difference is below "
-        "this.",
-    )
     confirmed: int = Field(
         2, ge=1, description="Minimum number of source maps that confirm a depth to keep it."
     )
