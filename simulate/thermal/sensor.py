@@ -25,6 +25,9 @@ BLUR_PX: Final = 0.6
 
 _NOISE_AT_K: Final = 300.0
 _KELVIN_PER_COUNT: Final = 0.01
+_MIRRORED_K: Final = (
+    3.0  # by which level surfaces look colder than they are, as they mirror the sky
+)
 # Substances that mirror the sky or are small do not widen the range of 8 bits.
 _UNUSUAL: Final = ("bare sheet", "solar cell", "rubber", "iron")
 
@@ -36,6 +39,7 @@ def describe_thermal(condition: Condition, origin: Geodetic) -> Thermal:
     """
     weather = thermal_weather(condition, origin)
     low, high = _level_range(weather, condition.wet)
+    low -= _MIRRORED_K
     return Thermal(
         kelvin_per_count=_KELVIN_PER_COUNT,
         netd_k=NETD_K,

@@ -22,7 +22,10 @@ _MOST_CELLS: Final = 1200  # per side
 _OUTSIDE_M: Final = -1e4  # height beyond the place, where nothing gives shade
 # Classes that give no shade worth a cell, because they are thin or let the sky through.
 _THIN: Final = ("wire", "pole", "lamp", "sign", "fence", "crane", "bollard", "hydrant")
-_SOFT_M: Final = 0.5  # height over which the edge of a shadow fades
+# Height over which the edge of a shadow fades: now, and in past hours, in which the sun moved on.
+_SOFT_M, _SOFT_OF_AN_HOUR_M = 0.5, 2.5
+# Height of the solid part of objects by that of their box. Masts give no shade.
+_SOLID: Final[dict[str, float]] = {"boat": 0.3}
 _CLEAR_M: Final = 0.15  # height by which shade must exceed a point, against that of its own cell
 
 
@@ -44,7 +47,7 @@ class Shade:
         """Return the share (H, W) of the direct sun that is hidden at time ``k``, 0 to 1.
 
         Args:
-            k: Number of the time.
+            k: Number of the time; 0 is the present.
             points: World points (H, W, 3), metres.
             normals: Unit normals (H, W, 3) of their surfaces.
         """
@@ -58,7 +61,8 @@ class Shade:
             top, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT,
             borderValue=_OUTSIDE_M,
         )  # fmt: skip
-        return np.asarray(np.clip((reach - points[..., 2] - _CLEAR_M) / _SOFT_M, 0, 1))
+        soft = _SOFT_M if k == 0 else _SOFT_OF_AN_HOUR_M
+        return np.asarray(np.clip((reach - points[..., 2] - _CLEAR_M) / soft, 0, 1))
 
 
 def _terrain(world: World, n: int, cell_m: float) -> Float:
@@ -101,7 +105,8 @@ def _top(item: WorldObject, along: Array, across: Array) -> Float:
     half = np.maximum(0.5 * item.size, 1e-6)
     s, t = along / half[0], across / half[1]
     inside = (np.abs(s) <= 1) & (np.abs(t) <= 1)
-    top = np.full(s.shape, item.centre[2] + half[2])
+    solid = _SOLID.get(item.class_name, 1.0) * item.size[2]
+    top = np.full(s.shape, item.centre[2] - half[2] + solid)
     style = item.style
     if style is not None:
         if style.wing_width_share < 1:
