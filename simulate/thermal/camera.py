@@ -9,6 +9,7 @@ other, and every pixel shows one point.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -135,22 +136,17 @@ class ThermalCamera:
         if (substance < 0).any():
             row, column = np.argwhere(substance < 0)[0]
             name = next(n for n, k in CLASSES.items() if k == label[row, column])
-            raise ValueError(
-                f"no substance is known for the material {self._materials[material[row, column]]!r}"
-                f" of the class {name!r}"
-            )
+            of = self._materials[material[row, column]]
+            raise ValueError(f"no substance is known for the material {of!r} of the class {name!r}")
         for style in Facade:
             wall = shown & (material == self._number(facade_material(style)))
             if wall.any():
-                glass = panes(style)[..., 0]
-                rows, columns = (
-                    np.floor(layers["uv"][wall][:, axis] * glass.shape[1 - axis]).astype(int)
-                    % glass.shape[1 - axis]
-                    for axis in (1, 0)
-                )
-                substance[wall] = np.where(
-                    glass[rows, columns] > 0, NAMES.index("pane"), substance[wall]
-                )
+                glazed = _glass(style)
+                height, width = glazed.shape
+                u, v = layers["uv"][wall].T
+                row, column = np.floor(v * height).astype(int), np.floor(u * width).astype(int)
+                is_pane = glazed[row % height, column % width]
+                substance[wall] = np.where(is_pane, NAMES.index("pane"), substance[wall])
         return np.asarray(substance)
 
     def _number(self, material: str) -> int:
@@ -205,6 +201,12 @@ class ThermalCamera:
                 received = received + np.float32(self._weather.direct_w[k]) * facing * lit
             gathered += weights[substance, k] * received
         return gathered
+
+
+@cache
+def _glass(style: Facade) -> NDArray[np.bool_]:
+    """Return where the image of a facade (rows, columns) shows glass; row 0 is at the bottom."""
+    return np.asarray(panes(style)[..., 0] > 0)
 
 
 def _object_albedos(world: World) -> dict[str, Float]:
