@@ -69,8 +69,8 @@ def screen_dataset(dataset: Dataset, every: int, cache: Path) -> Iterator[list[S
 
 def _screen_query(search: GlobalSearch, query: Query, truth: Pose) -> list[Screened]:
     screened, clock = [], Stopwatch()
-    for find in search.finders():
-        for candidate in find(query, clock):
+    for candidates in search.find(query, clock):
+        for candidate in candidates:
             times, rough_peaks = [process_time()], []
             for coarser in _COARSER:
                 rough_peaks.append(rough_peak(search.refine, query, candidate, coarser))

@@ -12,22 +12,17 @@ from objconnect.learning.inference import Precision, fuse_layers
 from objconnect.localization.cache.map_cache import open_cache
 from objconnect.localization.coarse.finder import LONGER_SIDE_PX, CoarseSearch, CoarseSearchOptions
 from objconnect.localization.featuremetric.maps import MapExtractor
+from objconnect.localization.featuremetric.options import NetworkOptions
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import read_network
-from objconnect.scene.config import Config
 from objconnect.scene.localizer import By, Estimate, Query, Status, Stopwatch, query_error
 from objconnect.scene.maps.sparse_map import SparseMap
-from objconnect.scene.runtime.device import AUTO, Device, torch_device
+from objconnect.scene.runtime.device import torch_device
 
 
-class CoarseLocalizerConfig(Config):
+class CoarseLocalizerConfig(NetworkOptions):
     """Options of the method ``place``."""
 
-    weights: Path | None = Field(
-        None,
-        description="File of an object-connect network's weights; None for the shipped ones.",
-    )
-    device: Device = AUTO
     precision: Precision = Field(
         "auto", validate_default=True, description="Precision of the convolutions."
     )
@@ -63,8 +58,9 @@ class CoarseLocalizer:
             return Estimate(Status.FAILED, reason=reason)
         clock = Stopwatch()
         with clock.stage("place"):
-            candidates = self._finder.find(query)
+            candidates = [each for found in self._finder.find(query) for each in found]
         if not candidates:
             reason = "the coarse search found no candidate"
             return Estimate(Status.FAILED, seconds=clock.seconds, reason=reason)
-        return Estimate(Status.OK, candidates[0].pose, seconds=clock.seconds, by=By.PLACE)
+        best = max(candidates, key=lambda each: each.score)
+        return Estimate(Status.OK, best.pose, seconds=clock.seconds, by=By.PLACE)

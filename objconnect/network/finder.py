@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-import torch
 from pydantic import Field
 from torch import Tensor
 
-from objconnect.localization.coarse.headings import ALTITUDE_RATIOS, possible_headings
+from objconnect.localization.coarse.headings import (
+    ALTITUDE_RATIOS,
+    TILTS_DEG,
+    TiltOptions,
+    has_attitude,
+    possible_headings,
+    tilt_rotations,
+)
 from objconnect.localization.coarse.search import Candidate
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.localization.featuremetric.priors import region
@@ -20,17 +25,13 @@ from objconnect.network.network import ObjConnectNet
 from objconnect.network.object_map import MapObjects, ObjectFinder, map_ground
 from objconnect.network.object_matching import ObjectMatcher
 from objconnect.network.object_pairs import Bounds
-from objconnect.scene.config import Config
-from objconnect.scene.geometry.pose import so3_exp
 from objconnect.scene.localizer import Prior, Query
 
 # Number of headings over the full turn, around each of which objects may agree.
 _HEADINGS: Final = 24
-# Tilts of the camera to try if gravity is unknown.
-_TILTS_DEG: Final = (0.0, 15.0, 30.0, 45.0, 60.0)
 
 
-class ObjectSearchOptions(Config):
+class ObjectSearchOptions(TiltOptions):
     """Options of the search by objects."""
 
     candidates: int = Field(4, ge=1, description="Maximum number of candidates.")
@@ -95,25 +96,28 @@ class ObjectSearch:
         if self._connect is None:
             return []
         found = self._find(query.image, query.camera)
-        return self._connect(found, query.camera, *allowed_poses(query.prior, self._heights))
+        tried = allowed_poses(query.prior, self._heights, self._options.tilts_deg)
+        return self._connect(found, query.camera, *tried)
 
 
 def allowed_poses(
-    prior: Prior | None, heights: Sequence[float], headings: int = _HEADINGS
+    prior: Prior | None,
+    heights: Sequence[float],
+    tilts_deg: Sequence[float] = TILTS_DEG,
+    headings: int = _HEADINGS,
 ) -> tuple[list[Tensor], Bounds]:
     """Return the attitudes at a heading of 0 to try, and the headings, heights and region.
 
     Args:
-        prior: prior of the query; without an attitude several tilts of the camera are tried.
+        prior: prior of the query.
         heights: heights of the map's photographs above the ground, metres.
+        tilts_deg: tilts of the camera that are tried without an attitude, degrees.
         headings: number of headings on the full circle.
     """
     base, turns = possible_headings(prior, headings)
     bounds = Bounds(
         turns, [part * float(np.median(heights)) for part in ALTITUDE_RATIOS], region(prior)
     )
-    if prior is not None and prior.cam_from_world_rotation is not None:
+    if has_attitude(prior):
         return [base], bounds
-    # A tilted camera looks ahead: the ground is at the bottom of its picture.
-    tilts = [torch.tensor([-math.radians(degrees), 0.0, 0.0]).double() for degrees in _TILTS_DEG]
-    return [so3_exp(tilt) @ base for tilt in tilts], bounds
+    return [tilt @ base for tilt in tilt_rotations(tilts_deg)], bounds

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -13,9 +16,17 @@ from torch import Tensor
 from objconnect.localization.cache.map_cache import EarlierRows, MapCache
 from objconnect.localization.cache.store import Rows
 from objconnect.localization.coarse.grid import GroundGrid, ground_grid
-from objconnect.localization.coarse.headings import ALTITUDE_RATIOS, possible_headings
+from objconnect.localization.coarse.headings import (
+    ALTITUDE_RATIOS,
+    LEVEL,
+    TiltOptions,
+    has_attitude,
+    possible_headings,
+    tilt_rotations,
+)
 from objconnect.localization.coarse.mosaic import Mosaic, empty_mosaic, make_mosaic
 from objconnect.localization.coarse.search import UP, Candidate, Hypotheses, MosaicSearch
+from objconnect.localization.coarse.tilted import TiltedSearch
 from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
 from objconnect.localization.resolution import (
     map_resolution,
@@ -23,7 +34,7 @@ from objconnect.localization.resolution import (
     observed_xyz,
     scale_to,
 )
-from objconnect.scene.config import Config
+from objconnect.scene.config import with_default
 from objconnect.scene.geometry.pose import Pose, so3_exp
 from objconnect.scene.geometry.views import WarpedImage, level_rotation, map_angle, tilt
 from objconnect.scene.localizer import Prior, Query
@@ -61,8 +72,10 @@ _MAX_TILT: Final = math.radians(45)
 _REACH_SIGMAS: Final = 3.0
 
 
-class CoarseSearchOptions(Config):
-    """Options of the coarse search."""
+class CoarseSearchOptions(TiltOptions):
+    """Options of the coarse search, which by default looks straight down."""
+
+    tilts_deg: tuple[float, ...] = with_default(TiltOptions, "tilts_deg", (0.0,))
 
     candidates: int = Field(
         16, ge=0, description="Maximum number of candidates; 0 for no coarse search."
@@ -105,6 +118,7 @@ class CoarseSearch:
         )
         self._mosaic = store.make(0, Mosaic.ARRAYS, Mosaic.of).to(self._extract.device)
         self._search = MosaicSearch(self._mosaic)
+        self._search_tilted = TiltedSearch(self._mosaic)
 
     def _make_mosaic(self, sparse_map: SparseMap, images: Path) -> Mosaic:
         def extract(image: MapImage) -> tuple[WarpedImage, FeatureMap]:
@@ -122,35 +136,40 @@ class CoarseSearch:
         with progress_bar("mosaic of the map", len(sparse_map.names)) as advance:
             return make_mosaic(sparse_map, grid, _CHANNELS, extract, advance)
 
-    def find(self, query: Query) -> list[Candidate]:
-        """Return candidates, best first; none if no photograph of the map looks down, or if the
-        query has a single colour."""
+    def find(self, query: Query) -> Iterator[list[Candidate]]:
+        """Yield candidates at the known attitude or at the first tilt, then those at other tilts.
+
+        Each list has its best candidate first. There is none if no photograph of the map looks
+        down, or if the query has a single colour. The features of the query serve all tilts.
+        """
         if self._mosaic.is_empty or (query.image == query.image[0, 0]).all():
-            return []
+            return
+        first, *others = tilt_rotations(self._options.tilts_deg)
+        tried = hypotheses(query.prior, self._mosaic.grid, self._height, first)
+        seen = self._search.look(partial(self._extract_for, query), tried)
+        yield self._search(seen, tried, self._options.candidates)
+        if others and not has_attitude(query.prior):
+            yield self._search_tilted(seen, replace(tried, tilts=others), self._options.candidates)
 
-        def extract(pose: Pose) -> tuple[WarpedImage, FeatureMap]:
-            rotation, view_from_camera = pose.rotation.numpy(), None
-            if tilt(rotation) > _MAX_TILT:
-                view_from_camera = level_rotation(rotation, _MAX_TILT) @ rotation.T
-            # The optical axis of the view, east-north-up.
-            axis = rotation[2] if view_from_camera is None else view_from_camera[2] @ rotation
-            cosine = max(_MIN_TILT_COSINE, -float(axis[2]))
-            resolution = float(pose.centre()[2]) / cosine / float(np.mean(query.camera.focal))
-            scale = scale_to(
-                self._resolution, resolution, self._extract.largest_scale(query.camera)
-            )
-            angle = map_angle(rotation)
-            view, levels = self._extract(
-                query.image, query.camera, angle, scale, 1, view_from_camera
-            )
-            return view, levels[0]
-
-        tried = hypotheses(query.prior, self._mosaic.grid, self._height)
-        return self._search(extract, tried, self._options.candidates)
+    def _extract_for(self, query: Query, pose: Pose) -> tuple[WarpedImage, FeatureMap]:
+        """Warp a query for a pose, and compute its features of the coarsest level."""
+        rotation, view_from_camera = pose.rotation.numpy(), None
+        if tilt(rotation) > _MAX_TILT:
+            view_from_camera = level_rotation(rotation, _MAX_TILT) @ rotation.T
+        # The optical axis of the view, east-north-up.
+        axis = rotation[2] if view_from_camera is None else view_from_camera[2] @ rotation
+        cosine = max(_MIN_TILT_COSINE, -float(axis[2]))
+        resolution = float(pose.centre()[2]) / cosine / float(np.mean(query.camera.focal))
+        scale = scale_to(self._resolution, resolution, self._extract.largest_scale(query.camera))
+        angle = map_angle(rotation)
+        view, levels = self._extract(query.image, query.camera, angle, scale, 1, view_from_camera)
+        return view, levels[0]
 
 
-def hypotheses(prior: Prior | None, grid: GroundGrid, height: float) -> Hypotheses:
-    """Return the headings, altitudes and region to search for a prior.
+def hypotheses(
+    prior: Prior | None, grid: GroundGrid, height: float, tilt: Tensor = LEVEL
+) -> Hypotheses:
+    """Return the headings, altitudes, tilts and region to search for a prior.
 
     Tilt and roll of the prior are kept. The heading, altitude and position are searched around the
     prior within a number of standard deviations, or everywhere if they are unknown.
@@ -159,6 +178,7 @@ def hypotheses(prior: Prior | None, grid: GroundGrid, height: float) -> Hypothes
         prior: prior of the query.
         grid: grid of the ground.
         height: height of the map's photographs above ground, metres.
+        tilt: rotation (3, 3) that tilts the camera if the prior has no attitude.
     """
     step = math.tau / _HEADINGS
     turns = [(k - (_TURNS - 1) / 2) * step / _TURNS for k in range(_TURNS)]
@@ -173,4 +193,5 @@ def hypotheses(prior: Prior | None, grid: GroundGrid, height: float) -> Hypothes
         altitude = up - grid.height_at(east, north)
         if prior.position_sigma[2] < _KNOWN_ALTITUDE_SHARE * altitude:
             altitudes = [altitude]
-    return Hypotheses(passes, turns, altitudes, region)
+    tilts = [LEVEL if has_attitude(prior) else tilt]
+    return Hypotheses(passes, turns, altitudes, region, tilts)

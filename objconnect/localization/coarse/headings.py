@@ -1,14 +1,18 @@
-"""Headings and altitudes to search for a prior."""
+"""Headings, tilts and altitudes to search for a prior."""
 
 from __future__ import annotations
 
 import math
-from typing import Final
+from collections.abc import Sequence
+from typing import Annotated, Final
 
 import numpy as np
 import torch
+from pydantic import Field
 from torch import Tensor
 
+from objconnect.scene.config import Config
+from objconnect.scene.geometry.pose import so3_exp
 from objconnect.scene.localizer import Prior
 
 _DOWN: Final = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
@@ -17,6 +21,36 @@ ALTITUDE_RATIOS: Final = (0.5, 0.6, 0.72, 0.87, 1.04, 1.25, 1.5)
 """Heights above ground to try where the altitude is unknown, relative to that of the map's
 photographs. Each is a fifth larger than the one before, because features tolerate a change of scale
 by a tenth."""
+LEVEL: Final = torch.eye(3, dtype=torch.float64)
+"""The rotation of no tilt."""
+TILTS_DEG: Final = (0.0, 15.0, 30.0, 45.0, 60.0)
+"""Default tilts of the camera, degrees, to try where the attitude is unknown."""
+
+
+class TiltOptions(Config):
+    """Tilts of the camera that a search tries."""
+
+    tilts_deg: tuple[Annotated[float, Field(ge=0, le=75)], ...] = Field(
+        TILTS_DEG,
+        min_length=1,
+        description="Angles between the optical axis and straight down that are tried if the "
+        "attitude is unknown, deg. The coarse search tries the others only if no candidate at the "
+        "first one is accepted.",
+    )
+
+
+def tilt_rotations(tilts_deg: Sequence[float]) -> list[Tensor]:
+    """Return rotations (3, 3) that tilt a camera which looks straight down, in its own axes.
+
+    A tilted camera looks ahead: the ground is at the bottom of its picture.
+    """
+    radians = (math.radians(degrees) for degrees in tilts_deg)
+    return [so3_exp(torch.tensor([-tilt, 0.0, 0.0]).double()) for tilt in radians]
+
+
+def has_attitude(prior: Prior | None) -> bool:
+    """Return whether a prior has an attitude, so that no tilt is searched."""
+    return prior is not None and prior.cam_from_world_rotation is not None
 
 
 def possible_headings(prior: Prior | None, count: int) -> tuple[Tensor, list[float]]:

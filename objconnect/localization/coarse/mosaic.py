@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.nn.functional import avg_pool2d, max_pool2d, normalize, pad
 
 from objconnect.localization.coarse.grid import GroundGrid
 from objconnect.localization.featuremetric.maps import FeatureMap
@@ -45,6 +46,20 @@ class Mosaic:
         cells = torch.nn.functional.normalize(features[0].float(), dim=0).permute(1, 2, 0)
         reduced = torch.nn.functional.normalize((cells - self.mean) @ self.components, dim=-1)
         return reduced.permute(2, 0, 1)[None]
+
+    def halve(self) -> Mosaic:
+        """Return the mosaic with cells of twice the side, each the mean of four."""
+        north, east = (side % 2 for side in self.grid.shape)
+        features = pad(self.features, (0, east, 0, north))
+        known = pad(self.known, (0, east, 0, north))[None]
+        heights = np.pad(self.grid.heights, ((0, north), (0, east)), mode="edge")
+        return Mosaic(
+            GroundGrid(self.grid.origin, 2 * self.grid.cell, heights[::2, ::2]),
+            normalize(avg_pool2d(features, 2), dim=0),
+            max_pool2d(known, 2)[0],
+            self.mean,
+            self.components,
+        )
 
     @property
     def is_empty(self) -> bool:

@@ -12,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from objconnect.localization.coarse.headings import LEVEL
 from objconnect.localization.coarse.mosaic import Mosaic
 from objconnect.localization.featuremetric.maps import FeatureMap
 from objconnect.scene.geometry.pose import Pose, so3_exp
@@ -20,17 +21,17 @@ from objconnect.scene.localizer import By
 from objconnect.scene.runtime.progress import progress_within
 from objconnect.scene.storage.lru_cache import MEGABYTE, LruCache
 
+MAX_DISTANCE: Final = 2.0
+"""Ground is used up to this horizontal distance, in heights of the camera above ground. Few pixels
+show what is farther away."""
+MIN_OVERLAP: Final = 0.3
+"""A candidate needs at least this share of the query's confidence on known cells of the mosaic."""
 UP: Final = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
 # Number of peaks of the correlation that are kept for each pass of the network and each altitude.
 _PEAKS: Final = 3
 # The height and width of a query projected to the ground are rounded up to multiples of this many
 # cells.
 _PATCH_MULTIPLE: Final = 16
-# A candidate needs at least this share of the query's confidence on known cells of the mosaic.
-_MIN_OVERLAP: Final = 0.3
-# Ground is used up to this horizontal distance, in heights of the camera above ground. Few pixels
-# show what is farther away.
-_MAX_DISTANCE: Final = 2.0
 # Memory for Fourier transforms of the mosaic, one for each size of a query projected to the ground.
 _SPECTRA_MB: Final = 128
 # Numerical guard: least sum of confidence over the cells of a query.
@@ -62,12 +63,14 @@ class Hypotheses:
         turns: rotations about the vertical, radians, that are tried with the features of each pass.
         altitudes: heights above ground, metres, that are tried with the features of each pass.
         region: centre (east, north) and radius of the region to search, metres; None for all.
+        tilts: rotations (3, 3) of the camera in its own axes, tried with the features of each pass.
     """
 
     passes: Sequence[Tensor]
     turns: Sequence[float]
     altitudes: Sequence[float]
     region: tuple[float, float, float] | None = None
+    tilts: Sequence[Tensor] = (LEVEL,)
 
 
 class _GroundPatch(NamedTuple):
@@ -89,7 +92,21 @@ Extract = Callable[[Pose], tuple[WarpedImage, FeatureMap]]
 """Warps the query for a pose and computes its features of the coarsest level."""
 
 
-class _Peak(NamedTuple):
+class SeenQuery(NamedTuple):
+    """A query as one pass of the network sees it.
+
+    Attributes:
+        rotation: (3, 3) ``cam_from_world`` of the hypothesis that it was warped for.
+        view: the warped query.
+        level: its coarsest features, reduced to the mosaic's channels.
+    """
+
+    rotation: Tensor
+    view: WarpedImage
+    level: FeatureMap
+
+
+class Peak(NamedTuple):
     """A peak of the correlation under one hypothesis.
 
     Attributes:
@@ -121,43 +138,58 @@ class MosaicSearch:
         self._spectra = LruCache(self._spectrum, _SPECTRA_MB * MEGABYTE)
 
     @torch.inference_mode()
-    def __call__(self, extract: Extract, hypotheses: Hypotheses, count: int) -> list[Candidate]:
-        """Return the best candidates, best first, at most ``count``.
+    def look(self, extract: Extract, hypotheses: Hypotheses) -> list[SeenQuery]:
+        """Return the query as each pass of the network sees it.
 
         Args:
             extract: warps the query north up for a pose, of which only height and rotation matter,
                 and computes the features of the coarsest level.
+            hypotheses: headings and altitudes to search.
+        """
+        median_altitude = float(hypotheses.altitudes[len(hypotheses.altitudes) // 2])
+        centre = torch.tensor([0.0, 0.0, median_altitude], dtype=torch.float64)
+        seen: list[SeenQuery] = []
+        with progress_within("coarse search", len(hypotheses.passes)) as advance:
+            for rotation in hypotheses.passes:
+                view, level = extract(Pose(rotation, -rotation @ centre))
+                reduced = self._mosaic.reduce_channels(level.features)
+                level = FeatureMap(reduced, level.confidence, level.stride)
+                seen.append(SeenQuery(rotation, view, level))
+                advance(len(seen))
+        return seen
+
+    def __call__(
+        self, seen: Sequence[SeenQuery], hypotheses: Hypotheses, count: int
+    ) -> list[Candidate]:
+        """Return the best candidates, best first, at most ``count``.
+
+        Args:
+            seen: the query as each pass of the network sees it, of ``look``.
             hypotheses: headings, altitudes and region to search.
             count: maximum number of candidates.
         """
-        peaks: list[_Peak] = []
-        with progress_within("coarse search", len(hypotheses.passes)) as advance:
-            for done, rotation in enumerate(hypotheses.passes, 1):
-                peaks += self._peaks(extract, rotation, hypotheses)
-                advance(done)
-        return [self._candidate(peak) for peak in self._distinct(peaks, count)]
+        peaks = [peak for each in seen for peak in self.peaks(each, hypotheses)]
+        return [self.candidate(peak) for peak in self.select(peaks, count)]
 
-    def _peaks(self, extract: Extract, rotation: Tensor, hypotheses: Hypotheses) -> Iterator[_Peak]:
+    @torch.inference_mode()
+    def peaks(self, seen: SeenQuery, hypotheses: Hypotheses) -> Iterator[Peak]:
         """Yield the peaks of one pass of the network."""
-        median_altitude = float(hypotheses.altitudes[len(hypotheses.altitudes) // 2])
         turns = torch.tensor(hypotheses.turns, dtype=torch.float64)
-        centre = torch.tensor([0.0, 0.0, median_altitude], dtype=torch.float64)
-        view, level = extract(Pose(rotation, -rotation @ centre))
-        reduced = FeatureMap(
-            self._mosaic.reduce_channels(level.features), level.confidence, level.stride
-        )
-        rotations = rotation @ so3_exp(turns[:, None] * UP)
-        footprint = self._footprint(view, rotations)
-        for altitude in hypotheses.altitudes:
-            patch = self._project_to_ground(view, reduced, rotations, footprint, altitude)
-            if patch is not None:
-                for score, x, y, turn in self._correlate(patch, hypotheses.region):
-                    yield _Peak(score, x, y, altitude, rotations[turn])
+        for tilt in hypotheses.tilts:
+            rotations = tilt @ seen.rotation @ so3_exp(turns[:, None] * UP)
+            footprint = self._footprint(seen.view, rotations)
+            for altitude in hypotheses.altitudes:
+                patch = self._project_to_ground(
+                    seen.view, seen.level, rotations, footprint, altitude
+                )
+                if patch is not None:
+                    for score, x, y, turn in self._correlate(patch, hypotheses.region):
+                        yield Peak(score, x, y, altitude, rotations[turn])
 
-    def _distinct(self, peaks: Sequence[_Peak], count: int) -> list[_Peak]:
+    def select(self, peaks: Sequence[Peak], count: int) -> list[Peak]:
         """Return the best peaks, best first, without those nearer than ``separation`` to a better
         one."""
-        kept: list[_Peak] = []
+        kept: list[Peak] = []
         for peak in sorted(peaks, key=lambda peak: -peak.score):
             if all(math.hypot(peak.x - a.x, peak.y - a.y) > self._separation for a in kept):
                 kept.append(peak)
@@ -165,7 +197,8 @@ class MosaicSearch:
                     break
         return kept
 
-    def _candidate(self, peak: _Peak) -> Candidate:
+    def candidate(self, peak: Peak) -> Candidate:
+        """Return a peak as a candidate."""
         z = self._mosaic.grid.height_at(peak.x, peak.y) + peak.altitude
         centre = torch.tensor([peak.x, peak.y, z], dtype=torch.float64)
         return Candidate(Pose(peak.rotation, -peak.rotation @ centre), peak.score)
@@ -191,7 +224,7 @@ class MosaicSearch:
         correlation, overlap = torch.fft.irfft2(product, s=size)
         total = weight.sum((1, 2)).clamp_min(_MIN_WEIGHT)[:, None, None]
         scores = correlation / (overlap.clamp_min(1e-6) * total).sqrt()
-        scores[overlap < _MIN_OVERLAP * total] = -1.0
+        scores[overlap < MIN_OVERLAP * total] = -1.0
         score, turn = scores.max(0)
         # Shifts beyond the grid are those to the south and west.
         north = torch.arange(size[0], device=score.device)
@@ -248,7 +281,7 @@ class MosaicSearch:
         rows, columns = (
             _PATCH_MULTIPLE * math.ceil(side / _PATCH_MULTIPLE) for side in (rows, columns)
         )
-        near = np.hypot(x, y) <= _MAX_DISTANCE * altitude
+        near = np.hypot(x, y) <= MAX_DISTANCE * altitude
         ground = torch.from_numpy(np.stack([x[near], y[near], np.full(near.sum(), -altitude)], -1))
         cell_index = torch.from_numpy(np.flatnonzero(np.pad(near, _padding(near, rows, columns))))
         view_from_camera = torch.from_numpy(view.view_from_camera)
@@ -281,7 +314,7 @@ class MosaicSearch:
     def _footprint(self, view: WarpedImage, rotations: Tensor) -> NDArray[np.float64]:
         """Return the south-western and north-eastern corner (2, 2) of the ground in a view.
 
-        The footprint covers all rotations (T, 3, 3) up to ``_MAX_DISTANCE``. It is relative to the
+        The footprint covers all rotations (T, 3, 3) up to ``MAX_DISTANCE``. It is relative to the
         camera, in units of the camera's height above ground; NaN if the lens model inverts at no
         pixel.
         """
@@ -297,7 +330,7 @@ class MosaicSearch:
         horizontal = np.hypot(directions[:, 0], directions[:, 1])
         down = -directions[:, 2]
         distance = np.where(down > 1e-6, horizontal / np.maximum(down, 1e-6), np.inf)
-        distance = np.minimum(distance, _MAX_DISTANCE)
+        distance = np.minimum(distance, MAX_DISTANCE)
         ground = directions[:, :2] / np.maximum(horizontal, 1e-9)[:, None] * distance[:, None]
         return np.stack([ground.min(0), ground.max(0)])
 

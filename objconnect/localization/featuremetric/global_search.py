@@ -39,7 +39,7 @@ from objconnect.scene.runtime.progress import progress_within
 
 # Search radius (metres, degrees) around a pose by matches.
 _MATCHES_RADIUS: Final = SearchRadius(1.0, 1.0)
-_Find = Callable[[Query, Stopwatch], list[Candidate]]
+_Find = Callable[[Query, Stopwatch], Iterator[list[Candidate]]]
 
 
 def is_sure_match(matched: Estimate, options: SearchOptions) -> bool:
@@ -109,8 +109,8 @@ class GlobalSearch:
                 return answer
         options = self.refine.config.search
         tried: list[Candidate] = []
-        for find in self.finders():
-            for candidate in self._promising(query, find(query, clock), clock):
+        for candidates in self.find(query, clock):
+            for candidate in self._promising(query, candidates, clock):
                 attempts.append(self.refine.align_near(query, candidate.pose, clock))
                 tried.append(candidate)
                 if is_probable(attempts, options, rivals):
@@ -138,12 +138,13 @@ class GlobalSearch:
                 yield candidate
                 advance(done)
 
-    def finders(self) -> Sequence[_Find]:
-        """Return the finders of candidates in the order in which they are used."""
-        if self.extra_finder is None:
-            return [self._find_candidates]
-        finders = [self._find_extra, self._find_candidates]
-        return finders if self.extra_finder.is_first else finders[::-1]
+    def find(self, query: Query, clock: Stopwatch) -> Iterator[list[Candidate]]:
+        """Yield the candidates of each finder, in the order in which they are tried."""
+        finders: list[_Find] = [self._find_candidates]
+        if self.extra_finder is not None:
+            finders.insert(0 if self.extra_finder.is_first else 1, self._find_extra)
+        for find in finders:
+            yield from find(query, clock)
 
     def _best(
         self, attempts: Sequence[Attempt], fallback: Candidate, clock: Stopwatch, rivals: Rivals
@@ -174,26 +175,35 @@ class GlobalSearch:
             return None, [attempt]
         return replace(matched, seconds=clock.seconds, probability=probability), []
 
-    def _find_extra(self, query: Query, clock: Stopwatch) -> list[Candidate]:
-        """Return the candidates of the extra finder that the prior allows."""
+    def _find_extra(self, query: Query, clock: Stopwatch) -> Iterator[list[Candidate]]:
+        """Yield the candidates of the extra finder that the prior allows."""
         assert self.extra_finder is not None
         with clock.stage("objects"):
             candidates = self.extra_finder.find(query)
-        return [each for each in candidates if is_near_prior(query.prior, each.pose)]
+        yield [each for each in candidates if is_near_prior(query.prior, each.pose)]
 
-    def _find_candidates(self, query: Query, clock: Stopwatch) -> list[Candidate]:
-        """Return the candidates of the coarse search.
+    def _find_candidates(self, query: Query, clock: Stopwatch) -> Iterator[list[Candidate]]:
+        """Yield the candidates of the coarse search, tilt by tilt.
 
         If it finds none and the prior has no position, the poses of similar map photographs are
-        returned instead. If the coarse search is switched off, nothing is returned.
+        yielded instead. If the coarse search is switched off, nothing is yielded.
         """
         if self.coarse is None:
-            return []
+            return
+        lists, found = self.coarse.find(query), False
+        while True:
+            with clock.stage("place"):
+                candidates = next(lists, None)
+            if candidates is None:
+                break
+            found = found or bool(candidates)
+            yield candidates
+        if not found and not has_position(query.prior):
+            yield self._find_similar(query, clock)
+
+    def _find_similar(self, query: Query, clock: Stopwatch) -> list[Candidate]:
+        """Return the poses of map photographs that are similar to the query."""
         config = self.refine.config
-        with clock.stage("place"):
-            candidates = self.coarse.find(query)
-        if candidates or has_position(query.prior):
-            return candidates
         with clock.stage("retrieval"):
             chosen = self.refine.photographs(query)
             poses = starts(query.prior, self.sparse_map, chosen, config.same_place_m)

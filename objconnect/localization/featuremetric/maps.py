@@ -80,6 +80,15 @@ class FeatureMap:
     confidence: Tensor
     stride: int
 
+    def halve(self) -> FeatureMap:
+        """Return the map with cells of twice the side, each the mean of four by confidence."""
+        weighted = torch.nn.functional.normalize(self.features, dim=1) * self.confidence
+        return FeatureMap(
+            torch.nn.functional.avg_pool2d(weighted, 2, ceil_mode=True),
+            torch.nn.functional.avg_pool2d(self.confidence, 2, ceil_mode=True),
+            2 * self.stride,
+        )
+
     def sample(self, xy: Tensor) -> tuple[Tensor, Tensor]:
         """Sample unit features (N, C) and confidence (N,) at pixels of the view (N, 2).
 

@@ -94,8 +94,8 @@ class TrackingOptions(Config):
     )
 
 
-class FeaturemetricConfig(Config):
-    """Options of a localizer by alignment."""
+class NetworkOptions(Config):
+    """The network of a localizer, and where it runs."""
 
     weights: Path | None = Field(
         None,
@@ -103,6 +103,11 @@ class FeaturemetricConfig(Config):
         "hf://OWNER/NAME@COMMIT; None for the shipped ones.",
     )
     device: Device = AUTO
+
+
+class FeaturemetricConfig(NetworkOptions):
+    """Options of a localizer by alignment."""
+
     references: int = Field(
         5, ge=1, description="Number of reference images that the query is aligned to jointly."
     )

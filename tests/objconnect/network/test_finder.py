@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from benchmark.datasets.open import open_datasets
 from objconnect.localization.cache.map_cache import MapCache
 from objconnect.localization.cache.store import Store
-from objconnect.localization.coarse.headings import ALTITUDE_RATIOS
+from objconnect.localization.coarse.headings import ALTITUDE_RATIOS, TILTS_DEG
 from objconnect.localization.coarse.search import Candidate
 from objconnect.localization.featuremetric.global_search import GlobalSearch
 from objconnect.localization.featuremetric.maps import MapExtractor
@@ -36,10 +36,10 @@ ROTATION = (DOWN @ so3_exp(torch.ones(3).double() / 9)).numpy()
 
 
 def test_nothing_known_is_searched_all_around() -> None:
-    attitudes, bounds = allowed_poses(None, [70.0, 80.0, 90.0], 8)
+    attitudes, bounds = allowed_poses(None, [70.0, 80.0, 90.0], TILTS_DEG, 8)
     assert torch.equal(attitudes[0], DOWN)
     tilts = [math.degrees(tilt(each.numpy())) for each in attitudes]
-    assert tilts == pytest.approx([0, 15, 30, 45, 60], abs=1e-4)
+    assert tilts == pytest.approx(TILTS_DEG, abs=1e-4)
     assert bounds.headings == pytest.approx([k * math.tau / 8 for k in range(8)])
     assert bounds.heights == [80.0 * part for part in ALTITUDE_RATIOS]
     assert bounds.region is None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,9 +12,10 @@ from numpy.typing import NDArray
 
 from objconnect.localization.coarse.finder import hypotheses
 from objconnect.localization.coarse.grid import GroundGrid, ground_grid
-from objconnect.localization.coarse.headings import ALTITUDE_RATIOS
+from objconnect.localization.coarse.headings import ALTITUDE_RATIOS, tilt_rotations
 from objconnect.localization.coarse.mosaic import Mosaic, empty_mosaic
-from objconnect.localization.coarse.search import Hypotheses, MosaicSearch
+from objconnect.localization.coarse.search import Candidate, Hypotheses, MosaicSearch
+from objconnect.localization.coarse.tilted import TiltedSearch
 from objconnect.localization.featuremetric.maps import FeatureMap
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose, so3_exp
@@ -65,6 +67,17 @@ def render_view(mosaic: Mosaic, pose: Pose) -> tuple[WarpedImage, FeatureMap]:
     )
 
 
+def search(
+    mosaic: Mosaic, true: Pose, tried: Hypotheses, count: int, separation: float = 12.0
+) -> list[Candidate]:
+    """The candidates of a query taken at a pose.
+
+    The network sees the same whatever it is asked from: turning the picture is its caller's.
+    """
+    find = MosaicSearch(mosaic, separation)
+    return find(find.look(lambda _: render_view(mosaic, true), tried), tried, count)
+
+
 def make_pose(rotation: torch.Tensor, centre: tuple[float, float, float]) -> Pose:
     return Pose(rotation, -rotation @ torch.tensor(centre, dtype=torch.float64))
 
@@ -79,9 +92,8 @@ def test_place_heading_and_altitude_are_found(mosaic: Mosaic, tilt: float, heigh
     base = tilt_camera(tilt)
     true = make_pose(base @ so3_exp(math.radians(130) * UP), (12.0, -20.0, 5.0 + height))
     passes = [base @ so3_exp(math.radians(k * 10) * UP) for k in range(36)]
-    # The network sees the same whatever it is asked from: turning the picture is its caller's.
     hypotheses = Hypotheses(passes, [0.0], [0.7 * height, height, 1.3 * height])
-    best, *others = MosaicSearch(mosaic)(lambda _: render_view(mosaic, true), hypotheses, 3)
+    best, *others = search(mosaic, true, hypotheses, 3)
     metres, degrees = off(best.pose, true)
     assert metres < 3 * CELL and degrees < 6
     assert best.score > 0.6 and all(each.score < best.score for each in others)
@@ -91,21 +103,20 @@ def test_turns_between_passes_are_tried(mosaic: Mosaic) -> None:
     true = make_pose(DOWN @ so3_exp(math.radians(18) * UP), (0.0, 10.0, 65.0))
     turns = [math.radians(each) for each in (-18, 0, 18)]
     hypotheses = Hypotheses([DOWN], turns, [60.0])
-    best = MosaicSearch(mosaic)(lambda _: render_view(mosaic, true), hypotheses, 1)[0]
+    best = search(mosaic, true, hypotheses, 1)[0]
     metres, degrees = off(best.pose, true)
     assert metres < 3 * CELL and degrees < 1
 
 
 def test_places_are_sought_where_the_prior_lets_them_be(mosaic: Mosaic) -> None:
     true = make_pose(DOWN, (12.0, -20.0, 65.0))
-    search = MosaicSearch(mosaic)
     elsewhere = Hypotheses([DOWN], [0.0], [60.0], region=(-40.0, 40.0, 15.0))
-    for candidate in search(lambda _: render_view(mosaic, true), elsewhere, 5):
+    for candidate in search(mosaic, true, elsewhere, 5):
         x, y, _ = candidate.pose.centre().tolist()
         assert math.hypot(x + 40, y - 40) <= 15
         assert candidate.score < 0.4
     there = Hypotheses([DOWN], [0.0], [60.0], region=(10.0, -15.0, 15.0))
-    assert search(lambda _: render_view(mosaic, true), there, 1)[0].score > 0.6
+    assert search(mosaic, true, there, 1)[0].score > 0.6
 
 
 @pytest.mark.parametrize(("sigma", "radius"), [(5.0, 19.0), (2.0, 10.0)])
@@ -124,9 +135,7 @@ def test_candidates_are_apart(mosaic: Mosaic) -> None:
     true = make_pose(DOWN, (12.0, -20.0, 65.0))
     passes = [DOWN @ so3_exp(math.radians(each) * UP) for each in (-5, 0, 5)]
     hypotheses = Hypotheses(passes, [0.0], [55.0, 60.0, 65.0])
-    found = MosaicSearch(mosaic, separation=12.0)(
-        lambda _: render_view(mosaic, true), hypotheses, 6
-    )
+    found = search(mosaic, true, hypotheses, 6, separation=12.0)
     centres = np.array([each.pose.centre().numpy() for each in found])
     between = np.linalg.norm(centres[:, None, :2] - centres[None, :, :2], axis=-1)
     assert len(found) == 6
@@ -135,8 +144,8 @@ def test_candidates_are_apart(mosaic: Mosaic) -> None:
 
 def test_a_query_that_shows_no_ground_has_no_place(mosaic: Mosaic) -> None:
     upwards = torch.eye(3, dtype=torch.float64)
-    level = render_view(mosaic, make_pose(DOWN, (0.0, 0.0, 65.0)))
-    assert MosaicSearch(mosaic)(lambda _: level, Hypotheses([upwards], [0.0], [60.0]), 3) == []
+    level = make_pose(DOWN, (0.0, 0.0, 65.0))
+    assert search(mosaic, level, Hypotheses([upwards], [0.0], [60.0]), 3) == []
 
 
 def test_a_mosaic_comes_back_from_its_arrays(mosaic: Mosaic) -> None:
@@ -157,3 +166,21 @@ def test_cells_take_the_median_height_of_their_points() -> None:
     assert (grid.height_at(5, 5), grid.height_at(35, 5), grid.height_at(900, 5)) == (0, 7, 7)
     hole = flat[(flat[:, 0] < 8) | (flat[:, 0] > 30)]
     assert np.isfinite(ground_grid(hole, 4.0).heights).all()
+
+
+@pytest.mark.parametrize(("tilt", "heading"), [(23.0, 47.0), (38.0, -100.0)])
+def test_a_tilted_camera_is_found_between_the_tilts_and_headings_that_are_tried(
+    mosaic: Mosaic, tilt: float, heading: float
+) -> None:
+    """Straight down, no candidate is near; of the tilts, the first is."""
+    turned = so3_exp(math.radians(heading) * UP)
+    true = make_pose(tilt_camera(tilt) @ turned, (12.0, -20.0, 62.0))
+    passes = [DOWN @ so3_exp(math.radians(30 * k) * UP) for k in range(12)]
+    turns = [math.radians(6 * k) for k in range(-2, 3)]
+    flat = Hypotheses(passes, turns, [70.0 * part for part in ALTITUDE_RATIOS])
+    seen = MosaicSearch(mosaic).look(lambda _: render_view(mosaic, true), flat)
+    straight = [off(each.pose, true) for each in MosaicSearch(mosaic)(seen, flat, 16)]
+    assert straight and all(metres > 8 or degrees > 10 for metres, degrees in straight)
+    tilted = replace(flat, tilts=tilt_rotations([15.0, 30.0, 45.0, 60.0]))
+    metres, degrees = off(TiltedSearch(mosaic)(seen, tilted, 1)[0].pose, true)
+    assert metres < 8 and degrees < 10

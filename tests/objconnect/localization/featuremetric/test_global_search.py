@@ -79,7 +79,7 @@ def search(
 
     refine = SimpleNamespace(config=SimpleNamespace(search=OPTIONS), align_near=near)
     candidates = [Candidate(at(each), 0.0, By.PLACE) for each in eastings]
-    coarse = SimpleNamespace(find=lambda _: candidates)
+    coarse = SimpleNamespace(find=lambda _: iter([candidates]))
     return GlobalSearch(
         cast(Refiner, refine), cast(SparseMap, None), cast(CoarseSearch, coarse), None
     )

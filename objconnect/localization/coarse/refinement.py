@@ -1,0 +1,149 @@
+"""Refinement of coarse poses of a query in all six dimensions, by their score on the mosaic.
+
+A search tries few tilts, headings and altitudes. Between them the right pose scores little more
+than wrong ones; at its best it stands out.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import product
+from typing import Final, NamedTuple
+
+import torch
+from torch import Tensor
+
+from objconnect.localization.coarse.mosaic import Mosaic
+from objconnect.localization.coarse.search import MAX_DISTANCE, MIN_OVERLAP
+from objconnect.localization.featuremetric.maps import FeatureMap
+from objconnect.scene.geometry.pose import so3_exp
+from objconnect.scene.geometry.views import WarpedImage
+
+# First steps: of the axis up and down and of the heading (rad), of the logarithm of the altitude,
+# of the roll (rad), and of the position (cells). They are halved in each round.
+_TILT: Final = math.radians(6)
+_HEADING: Final = math.radians(3)
+_ALTITUDE: Final = 0.09
+_ROLL: Final = math.radians(3)
+_SHIFT: Final = 0.8
+_ROUNDS: Final = 3
+
+
+class CoarsePoses(NamedTuple):
+    """P poses of a camera above level ground.
+
+    Attributes:
+        rotation: (P, 3, 3) ``cam_from_world``.
+        altitude: (P,) metres above the ground.
+        middle: (P, 2) world metres, east and north: the middle of the ground in view. A change of
+            the attitude or the altitude leaves it, so that the parameters are nearly independent.
+    """
+
+    rotation: Tensor
+    altitude: Tensor
+    middle: Tensor
+
+    def vary(self, steps: Tensor, cell: float) -> CoarsePoses:
+        """Return the poses changed by each of S steps (S, 6), (P * S) pose by pose.
+
+        A step is tilt, roll, heading (rad), logarithm of the altitude, east and north (cells).
+        """
+        zero = torch.zeros(len(steps), dtype=steps.dtype)
+        in_camera = so3_exp(torch.stack([steps[:, 0], steps[:, 1], zero], -1))
+        about_vertical = so3_exp(torch.stack([zero, zero, steps[:, 2]], -1))
+        rotation = in_camera @ self.rotation[:, None] @ about_vertical
+        altitude = self.altitude[:, None] * steps[:, 3].exp()
+        middle = self.middle[:, None] + cell * steps[:, 4:]
+        return CoarsePoses(rotation.flatten(0, 1), altitude.flatten(), middle.flatten(0, 1))
+
+    def select(self, rows: Tensor) -> CoarsePoses:
+        """Return the poses with these rows."""
+        return CoarsePoses(*(each[rows] for each in self))
+
+
+class ViewScorer:
+    """Scores poses of a query by the cells of the mosaic at which the cells of its view lie.
+
+    Args:
+        mosaic: mosaic of the map.
+        view: the warped query.
+        level: its features, reduced to the mosaic's channels.
+    """
+
+    def __init__(self, mosaic: Mosaic, view: WarpedImage, level: FeatureMap) -> None:
+        self._mosaic = mosaic
+        rows, columns = level.features.shape[-2:]
+        steps = torch.meshgrid(torch.arange(rows), torch.arange(columns), indexing="ij")
+        xy = (torch.stack([steps[1], steps[0]], -1).reshape(-1, 2) + 0.5) * float(level.stride)
+        rays, valid = view.camera.unproject(xy.double())
+        weight = level.confidence.flatten().cpu() * torch.from_numpy(view.shows(xy.numpy()))
+        used = valid & (weight > 0) & (rays[:, 2] > 1e-6)
+        rays = rays[used]
+        in_view = rays / rays[:, 2:]
+        self._rays = in_view.double() @ torch.from_numpy(view.view_from_camera)
+        self._weight = weight[used].double()
+        unit = torch.nn.functional.normalize(level.features[0].flatten(1).T.float(), dim=1)
+        self._features = unit[used.to(unit.device)]
+        focal = sum(view.camera.focal) / 2
+        self._area = (level.stride / (focal * mosaic.grid.cell)) ** 2
+
+    def refine(self, poses: CoarsePoses) -> tuple[CoarsePoses, Tensor, Tensor]:
+        """Return poses (P) refined, their centres east and north (P, 2), and their scores (P,)."""
+        cell = self._mosaic.grid.cell
+        signs = torch.tensor(list(product((-1, 0, 1), repeat=3)), dtype=torch.float64)
+        zero = torch.zeros(len(signs), dtype=torch.float64)
+        a, b, c = signs.unbind(1)
+        shifts = torch.stack([zero, a * _ROLL, zero, zero, b * _SHIFT, c * _SHIFT], -1)
+        attitudes = torch.stack([a * _TILT, zero, b * _HEADING, c * _ALTITUDE, zero, zero], -1)
+        for k in range(_ROUNDS):
+            for steps in (shifts, attitudes, shifts):
+                tried = poses.vary(steps / 2**k, cell)
+                scores = self.score(tried)[0].reshape(-1, len(steps))
+                best = scores.argmax(1) + torch.arange(len(scores)) * len(steps)
+                poses = tried.select(best)
+        scores, centres = self.score(poses)
+        return poses, centres, scores
+
+    def score(self, poses: CoarsePoses) -> tuple[Tensor, Tensor]:
+        """Return the scores (P,) of poses, at most 1, and their centres (P, 2), world metres."""
+        away, weight = self._lay_out(poses.rotation, poses.altitude)
+        centre = poses.middle - _middle(away, weight)
+        grid = self._mosaic.grid
+        rows, columns = grid.shape
+        origin = torch.from_numpy(grid.origin)
+        size = torch.tensor([columns, rows]) * grid.cell
+        at = 2 * (centre[:, None] + away - origin) / size - 1
+        layers = torch.cat([self._mosaic.features, self._mosaic.known[None]])[None]
+        sampled = torch.nn.functional.grid_sample(
+            layers, at.float()[None].to(layers.device), align_corners=False
+        )[0]
+        weight = weight.float().to(layers.device)
+        # Between cells the mean of unit vectors is shorter.
+        unit = torch.nn.functional.normalize(sampled[:-1], dim=0) * sampled[-1]
+        cosine = torch.einsum("kpn,nk->pn", unit, self._features)
+        total, known = weight.sum(1), (weight * sampled[-1]).sum(1)
+        score = (weight * cosine).sum(1) / (known * total).clamp_min(1e-6).sqrt()
+        return torch.where(known > MIN_OVERLAP * total, score, -1.0).cpu(), centre
+
+    def middle_of(self, rotation: Tensor, altitude: Tensor) -> Tensor:
+        """Return the middle of the ground in view (P, 2), metres from the camera."""
+        return _middle(*self._lay_out(rotation, altitude))
+
+    def _lay_out(self, rotation: Tensor, altitude: Tensor) -> tuple[Tensor, Tensor]:
+        """Return where cells lie on level ground (P, N, 2), metres from the camera, and weights.
+
+        A cell weighs as much as the cells of the mosaic that it covers, at most one.
+        """
+        directions = self._rays @ rotation
+        down = -directions[..., 2]
+        depth = altitude[:, None] / down.clamp_min(1e-6)
+        away = directions[..., :2] * depth[..., None]
+        near = (down > 1e-6) & (away.norm(dim=-1) <= MAX_DISTANCE * altitude[:, None])
+        cells = self._area * depth**3 / altitude[:, None]
+        weight = self._weight * cells.clamp(max=1.0) * near
+        return torch.where(near[..., None], away, 0.0), weight
+
+
+def _middle(away: Tensor, weight: Tensor) -> Tensor:
+    total = weight.sum(1, keepdim=True).clamp_min(1e-9)
+    return (weight[..., None] * away).sum(1) / total
