@@ -100,7 +100,11 @@ def test_every_surface_has_a_substance() -> None:
     """Of all shapes and materials of places of every preset."""
     for kind in PRESETS:
         place = preset(kind)(3, 180.0 if kind == "street" else 120.0)
-        for item in place.objects:
+        looks = {
+            (o.class_name, o.shape, o.style and (o.style.facade, o.style.roofing)): o
+            for o in place.objects
+        }
+        for item in looks.values():
             mesh = individual_mesh(item, place) or shape_mesh(item.shape)
             for material in {mesh.materials[k] for k in np.unique(mesh.material)}:
                 assert substance_name(material, item.class_name) in SUBSTANCES
