@@ -15,6 +15,7 @@ from objconnect.scene.registry import Lazy, Registry
 if TYPE_CHECKING:
     from objconnect.learning.training.config import TrainConfig
     from objconnect.learning.training.loop import Trainable
+    from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
     from objconnect.scene.localizer import Localizer
 
     LocalizerFactory = Callable[[Mapping[str, Any]], Localizer]
@@ -105,6 +106,7 @@ def create(name: str, overrides: Mapping[str, Any]) -> Localizer:
     """
     with LOCALIZERS.blame(name, "cannot be made"):
         localizer = LOCALIZERS.load(name, "cannot be made")(dict(overrides))
+    _give_matcher(localizer)
     entry_point = LOCALIZERS.entry_point(name)
     # Built-in localizers are not checked: access to the members would load weights.
     if entry_point is None:
@@ -115,6 +117,22 @@ def create(name: str, overrides: Mapping[str, Any]) -> Localizer:
             f"it lacks {', '.join(missing)}"
         )
     return localizer
+
+
+def _give_matcher(localizer: Localizer) -> None:
+    """Give a localizer by alignment the method that its option ``search.matcher`` names."""
+    search = getattr(getattr(localizer, "config", None), "search", None)
+    matcher = getattr(search, "matcher", None)
+    if matcher is None or not hasattr(localizer, "matched_finder"):
+        return
+    from objconnect.localization.featuremetric.matched_finder import MatchedFinder
+
+    try:
+        options = {key: value for key, value in matcher.items() if key != "method"}
+        other = create(matcher["method"], options)
+    except InputError as error:
+        raise InputError(f"search.matcher: {error}") from error
+    cast("FeaturemetricLocalizer", localizer).matched_finder = MatchedFinder(other)
 
 
 def trainable(name: str) -> Callable[[TrainConfig], Trainable]:

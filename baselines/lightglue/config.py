@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
@@ -46,7 +46,5 @@ class AlikedLightGlueConfig(LightGlueConfig):
 class DiskLightGlueConfig(LightGlueConfig):
     """Options of the localizer ``disk+lightglue``."""
 
-    extractor: Literal["depth", "epipolar"] = Field(
-        "depth",
-        description="Weights of DISK, by kornia's name. LightGlue was trained with depth.",
-    )
+    extractor: ClassVar[str] = "depth"
+    """Weights of DISK, by kornia's name: LightGlue was trained with them."""

@@ -1,8 +1,8 @@
 """Localization of an image with an incomplete or missing prior.
 
-Matches, known objects and the coarse search give candidates. The best of each is refined, then
-those of the others whose screening gives a high peak. The first probable refined pose ends the
-search.
+Matches, known objects, the coarse search and the method ``search.matcher`` give candidates. The
+best of each is refined, then those of the others whose screening gives a high peak. The first
+probable refined pose ends the search.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from objconnect.localization.featuremetric.attempt import (
     likeliest,
     select_estimate,
 )
+from objconnect.localization.featuremetric.matched_finder import MatchedFinder
 from objconnect.localization.featuremetric.options import SearchOptions
 from objconnect.localization.featuremetric.priors import has_position, is_near_prior
 from objconnect.localization.featuremetric.references import FeatureObserver, ReferenceSource
@@ -37,8 +38,8 @@ from objconnect.scene.localizer import By, Estimate, Query, Stopwatch
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.progress import progress_within
 
-# Search radius (metres, degrees) around a pose by matches.
-_MATCHES_RADIUS: Final = SearchRadius(1.0, 1.0)
+MATCHES_RADIUS: Final = SearchRadius(1.0, 1.0)
+"""Search radius (metres, degrees) around a pose by matches."""
 _Find = Callable[[Query, Stopwatch], Iterator[list[Candidate]]]
 
 
@@ -82,12 +83,14 @@ class GlobalSearch:
         coarse: the coarse search; if None, only matches and ``extra_finder`` give candidates, and
             the localizer starts from similar photographs if no candidate gives a probable pose.
         extra_finder: finds candidates in addition to the coarse search; None for none.
+        matched_finder: finds candidates if no other gives a probable pose; None for none.
     """
 
     refine: Refiner
     sparse_map: SparseMap
     coarse: CoarseSearch | None
     extra_finder: CandidateFinder | None
+    matched_finder: MatchedFinder | None = None
 
     def __call__(self, query: Query, matched: Estimate | None, clock: Stopwatch) -> Estimate | None:
         """Return the best estimate.
@@ -111,7 +114,7 @@ class GlobalSearch:
         tried: list[Candidate] = []
         for candidates in self.find(query, clock):
             for candidate in self._promising(query, candidates, clock):
-                attempts.append(self.refine.align_near(query, candidate.pose, clock))
+                attempts.append(self._align(query, candidate, clock))
                 tried.append(candidate)
                 if is_probable(attempts, options, rivals):
                     # Warped from the new pose, the image is rotated and scaled better.
@@ -121,6 +124,11 @@ class GlobalSearch:
         if self.coarse is None or not tried:
             return None
         return self._best(attempts, tried[0], clock, rivals)
+
+    def _align(self, query: Query, candidate: Candidate, clock: Stopwatch) -> Attempt:
+        """Refine a candidate; a pose by matches is nearer to the truth than others."""
+        radius = MATCHES_RADIUS if candidate.by is By.MATCHES else None
+        return self.refine.align_near(query, candidate.pose, clock, radius)
 
     def _promising(
         self, query: Query, candidates: Sequence[Candidate], clock: Stopwatch
@@ -143,6 +151,8 @@ class GlobalSearch:
         finders: list[_Find] = [self._find_candidates]
         if self.extra_finder is not None:
             finders.insert(0 if self.extra_finder.is_first else 1, self._find_extra)
+        if self.matched_finder is not None:
+            finders.append(self._find_matched)
         for find in finders:
             yield from find(query, clock)
 
@@ -166,7 +176,7 @@ class GlobalSearch:
         """
         options = self.refine.config.search
         start, _ = rivals[0]
-        attempt = self.refine.align_near(query, start, clock, _MATCHES_RADIUS)
+        attempt = self.refine.align_near(query, start, clock, MATCHES_RADIUS)
         best, probability = best_probability([(attempt.pose, attempt.log_odds), *rivals])
         same = is_same_pose(attempt.pose, start)
         if (same or best == 0) and is_accepted([attempt], options, rivals):
@@ -181,6 +191,13 @@ class GlobalSearch:
         with clock.stage("objects"):
             candidates = self.extra_finder.find(query)
         yield [each for each in candidates if is_near_prior(query.prior, each.pose)]
+
+    def _find_matched(self, query: Query, clock: Stopwatch) -> Iterator[list[Candidate]]:
+        """Yield the candidate of the method ``search.matcher``."""
+        assert self.matched_finder is not None
+        with clock.stage("matcher"):
+            candidates = self.matched_finder.find(query)
+        yield candidates
 
     def _find_candidates(self, query: Query, clock: Stopwatch) -> Iterator[list[Candidate]]:
         """Yield the candidates of the coarse search, tilt by tilt.

@@ -33,11 +33,13 @@ from objconnect.localization.featuremetric.attempt import (
     select_estimate,
 )
 from objconnect.localization.featuremetric.global_search import (
+    MATCHES_RADIUS,
     CandidateFinder,
     GlobalSearch,
     is_sure_match,
 )
 from objconnect.localization.featuremetric.maps import MapExtractor, Network
+from objconnect.localization.featuremetric.matched_finder import MatchedFinder
 from objconnect.localization.featuremetric.matcher import create_matcher, prepare_matcher
 from objconnect.localization.featuremetric.options import FeaturemetricConfig
 from objconnect.localization.featuremetric.prepared import MapState, Preparation
@@ -59,6 +61,7 @@ from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.memory import resident_bytes
 from objconnect.scene.runtime.progress import progress_within
 from objconnect.scene.runtime.tuning import freeze_objects, return_freed_above, trim_heap
+from objconnect.scene.storage.digests import sha256
 from objconnect.scene.storage.lru_cache import MEGABYTE
 
 # Maximum number of steps per level; nearly all successful queries take fewer.
@@ -77,6 +80,10 @@ class FeaturemetricLocalizer:
         weights_sha256: digest of its weights.
         config: options of the method.
         extra_finder: finds candidates in addition to the coarse search; None for none.
+
+    Attributes:
+        matched_finder: finds starts by the method ``search.matcher``. ``objconnect.methods.create``
+            sets it, because this package knows no other methods.
 
     Raises:
         InputError: this processor cannot run the network quantized, an option has no effect beside
@@ -97,12 +104,20 @@ class FeaturemetricLocalizer:
         config = config.in_effect().with_calibration()
         assert config.search.acceptance is not None
         self.name = name
-        self.weights_sha256: str | None = weights_sha256
+        self._network_sha256 = weights_sha256
+        self.matched_finder: MatchedFinder | None = None
         self.config = config
         self._extract = MapExtractor(network, config.longest, config.precision)
         self._acceptance: AcceptanceModel = config.search.acceptance
         self._damping = [factors().detach() for factors in network.damping]
         self._extra_finder = extra_finder
+
+    @property
+    def weights_sha256(self) -> str | None:
+        """Return the digest of the network's weights, together with those of ``search.matcher``."""
+        if self.matched_finder is None:
+            return self._network_sha256
+        return sha256(self._network_sha256, self.matched_finder.weights_sha256 or "")
 
     def prepare(self, sparse_map: SparseMap, images: Path, cache: Path | None = None) -> None:
         """Compute the features of the map's points in its photographs, unless they are cached."""
@@ -176,8 +191,11 @@ class FeaturemetricLocalizer:
             coarse.prepare(map_cache, source.extractor_key)
         if extra_finder is not None:
             extra_finder.prepare(source)
+        if self.matched_finder is not None:
+            self.matched_finder.prepare(map_cache)
         self._release_freed_memory()
-        return MapState(refine, GlobalSearch(refine, sparse_map, coarse, extra_finder), tracking)
+        search = GlobalSearch(refine, sparse_map, coarse, extra_finder, self.matched_finder)
+        return MapState(refine, search, tracking)
 
     def _release_freed_memory(self) -> None:
         """Return freed memory to the system, and set the memory above which queries do so too."""
@@ -193,6 +211,8 @@ class FeaturemetricLocalizer:
         source = self._source(MapCache.of(sparse_map, images, cache, part))
         extra_finder = self._extra_finder if config.multistart else None
         write_part(source, None if extra_finder is None else extra_finder.observer(source))
+        if self.matched_finder is not None:
+            self.matched_finder.prepare_part(source.map_cache, part)
 
     def _source(self, map_cache: MapCache) -> ReferenceSource:
         """Return the inputs of the reference features of a map."""
@@ -200,7 +220,7 @@ class FeaturemetricLocalizer:
         return ReferenceSource(
             map_cache,
             self._extract,
-            f"{self.weights_sha256} {config.longest} {config.precision}",
+            f"{self._network_sha256} {config.longest} {config.precision}",
             self.name,
             corners=config.corners,
         )
@@ -229,6 +249,8 @@ class FeaturemetricLocalizer:
                 return Estimate(Status.FAILED, seconds=clock.seconds, reason=NO_REFERENCE)
             poses = starts(query.prior, self._map, chosen, self.config.same_place_m)
         attempts = self._attempts(refine, query, chosen, poses, clock)
+        if not is_believed_and_exact(attempts, self.config.search):
+            attempts += self._try_matched(refine, query, clock)
         return select_estimate(
             attempts, poses, source_of_starts(query.prior), self.config.search, clock
         )
@@ -334,6 +356,15 @@ class FeaturemetricLocalizer:
                         )
                     break
         return attempts
+
+    def _try_matched(self, refine: Refiner, query: Query, clock: Stopwatch) -> list[Attempt]:
+        """Align from the pose by the method ``search.matcher``, unless a search has done so."""
+        if self.matched_finder is None or self._needs_search(query):
+            return []
+        with clock.stage("matcher"):
+            found = self.matched_finder.find(query)
+        near = self._near_query(query)
+        return [refine.align_near(near, each.pose, clock, MATCHES_RADIUS) for each in found]
 
     def _memory_left_mb(self, magnification: float) -> int:
         """Return how much of ``memory_mb`` is left beside a pass of the network, MB.

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from objconnect.learning.inference import Precision
 from objconnect.localization.coarse.finder import CoarseSearchOptions
@@ -68,6 +69,22 @@ class SearchOptions(Config):
         "around a prior, or around the reference images that a query names, is accepted; 1 for no "
         "second search. Without ``multistart`` there is none.",
     )
+    matcher: dict[str, Any] | None = Field(
+        None,
+        description="Another method, such as aliked+lightglue, whose pose is one more start where "
+        "the others give no answer; None for none. Its options follow it: "
+        "search.matcher.method=aliked+lightglue and search.matcher.references=8.",
+    )
+
+    @field_validator("matcher", mode="before")
+    @classmethod
+    def _complete_matcher(cls, value: Any) -> Any:
+        """Return the name of a method as a group without options."""
+        if isinstance(value, str):
+            return {"method": value}
+        if isinstance(value, Mapping) and not isinstance(value.get("method"), str):
+            raise ValueError("give the name of a method, as search.matcher.method=aliked+lightglue")
+        return value
 
 
 class TrackingOptions(Config):

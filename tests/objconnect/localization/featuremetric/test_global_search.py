@@ -5,18 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import pytest
 import torch
 
 import objconnect.localization.featuremetric.global_search as global_search
+from objconnect.localization.align.options import SearchRadius
 from objconnect.localization.coarse.finder import CoarseSearch
 from objconnect.localization.coarse.search import Candidate
 from objconnect.localization.featuremetric.acceptance import log_odds_of
 from objconnect.localization.featuremetric.attempt import Attempt
 from objconnect.localization.featuremetric.global_search import GlobalSearch
+from objconnect.localization.featuremetric.matched_finder import MatchedFinder
 from objconnect.localization.featuremetric.refiner import Refiner
 from objconnect.localization.featuremetric.screening import ScreenedCandidate
 from objconnect.scene.geometry.pose import Pose
@@ -67,21 +69,34 @@ def east(pose: Pose) -> float:
 
 
 def search(
-    *attempts: Attempt, eastings: Sequence[float] = (80,), starts: list[float] | None = None
+    *attempts: Attempt,
+    eastings: Sequence[float] = (80,),
+    starts: list[float] | None = None,
+    matched: float | None = None,
+    radii: list[SearchRadius | None] | None = None,
 ) -> GlobalSearch:
-    """A search with candidates at these eastings, whose refiner gives these attempts in turn."""
+    """A search with candidates at these eastings, whose refiner gives these attempts in turn.
+
+    The pose of another method is at the easting ``matched``.
+    """
     given = iter(attempts)
 
-    def near(_: Query, start: Pose, *__: Any) -> Attempt:
+    def near(_: Query, start: Pose, __: Stopwatch, radius: SearchRadius | None = None) -> Attempt:
         if starts is not None:
             starts.append(east(start))
+        if radii is not None:
+            radii.append(radius)
         return next(given)
 
     refine = SimpleNamespace(config=SimpleNamespace(search=OPTIONS), align_near=near)
     candidates = [Candidate(at(each), 0.0, By.PLACE) for each in eastings]
     coarse = SimpleNamespace(find=lambda _: iter([candidates]))
+    finder = None
+    if matched is not None:
+        another = Candidate(at(matched), 0.0, By.MATCHES)
+        finder = cast(MatchedFinder, SimpleNamespace(find=lambda _: [another]))
     return GlobalSearch(
-        cast(Refiner, refine), cast(SparseMap, None), cast(CoarseSearch, coarse), None
+        cast(Refiner, refine), cast(SparseMap, None), cast(CoarseSearch, coarse), None, finder
     )
 
 
@@ -140,3 +155,22 @@ def test_candidates_of_low_peaks_are_not_aligned(peaks: dict[float, float]) -> N
     found = search(*attempts, eastings=(10, 20, 30), starts=starts)(QUERY, None, Stopwatch())
     assert found is not None and found.status is Status.FALLBACK
     assert starts == [10, 20]
+
+
+def test_another_method_is_asked_last() -> None:
+    starts: list[float] = []
+    radii: list[SearchRadius | None] = []
+    attempts = align(10, 0.1), align(50, 0.99), align(50, 0.99)
+    made = search(*attempts, eastings=(10,), starts=starts, matched=50, radii=radii)
+    found = made(QUERY, None, Stopwatch())
+    assert found is not None and (found.status, found.by) == (Status.OK, By.ALIGNMENT)
+    assert starts == [10, 50, 50]
+    assert radii == [None, global_search.MATCHES_RADIUS, None]
+
+
+def test_another_method_is_not_asked_about_a_pose_that_is_believed() -> None:
+    starts: list[float] = []
+    attempts = align(10, 0.99), align(10, 0.99)
+    found = search(*attempts, eastings=(10,), starts=starts, matched=50)(QUERY, None, Stopwatch())
+    assert found is not None and found.status is Status.OK
+    assert starts == [10, 10]
