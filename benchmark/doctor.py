@@ -112,10 +112,8 @@ class Diagnosis:
             if check.fix:
                 lines.append(f"{'':8}{'':<{width}}  fix: {check.fix}")
         missing = sum(check.state == "missing" for check in self.checks)
-        lines.append(
-            "no required part is missing" if self.ok else f"{missing} required parts missing"
-        )
-        return "\n".join(lines)
+        end = "no required part is missing" if self.ok else f"{missing} required parts missing"
+        return "\n".join([*lines, end])
 
 
 class _Requirement(NamedTuple):

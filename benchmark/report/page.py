@@ -304,9 +304,7 @@ def _basin(run: Run) -> list[dict[str, Any]] | None:
         return None
     basin: Basin = load_basin(path)
     if (basin.dataset.sha256, basin.method) != (run.results.dataset.sha256, run.results.method):
-        log.warning(
-            "%s is left out: it is of another method or data set than the results beside it", path
-        )
+        log.warning("%s is left out: it is of another method or data set than the results", path)
         return None
     return [
         {

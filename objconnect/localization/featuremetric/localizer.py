@@ -249,7 +249,7 @@ class FeaturemetricLocalizer:
                 return Estimate(Status.FAILED, seconds=clock.seconds, reason=NO_REFERENCE)
             poses = starts(query.prior, self._map, chosen, self.config.same_place_m)
         attempts = self._attempts(refine, query, chosen, poses, clock)
-        if not is_believed_and_exact(attempts, self.config.search):
+        if not is_accepted(attempts, self.config.search):
             attempts += self._try_matched(refine, query, clock)
         return select_estimate(
             attempts, poses, source_of_starts(query.prior), self.config.search, clock

@@ -168,7 +168,7 @@ def test_another_method_is_asked_last() -> None:
     assert radii == [None, global_search.MATCHES_RADIUS, None]
 
 
-def test_another_method_is_not_asked_about_a_pose_that_is_believed() -> None:
+def test_another_method_is_not_asked_if_another_pose_is_probable() -> None:
     starts: list[float] = []
     attempts = align(10, 0.99), align(10, 0.99)
     found = search(*attempts, eastings=(10,), starts=starts, matched=50)(QUERY, None, Stopwatch())
