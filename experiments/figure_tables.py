@@ -15,11 +15,13 @@ from benchmark.results.query_result import QueryResult
 from benchmark.scoring.intervals import Interval
 from benchmark.scoring.score import false_fixes, recall, worse_than_prior, wrong_answers
 from benchmark.scoring.uncertainty import consistency
+from benchmark.tracks.queries import SEEN, UNSEEN
 from experiments.figure_values import (
     FOUND,
     asked_by_all,
     look_up,
     percent,
+    run_of,
     select,
     track_of,
 )
@@ -95,6 +97,37 @@ def recall_by(boards: Boards, track: str, start: str, by: str, queries: str = "c
     return _markdown(lines)
 
 
+def novelty(boards: Boards, track: str, start: str, *names: str) -> str:
+    """Return recall at 0.5 m and 5 degrees on what training may use and on what a track holds out.
+
+    It counts the changed queries that all its methods were asked, so that columns can be compared.
+    Each row states its places, queries and courses.
+
+    Args:
+        boards: tracks with their results.
+        track: name of the track.
+        start: name of the start.
+        names: methods; all with results from the start if there is none.
+
+    Raises:
+        InputError: a name is unknown, or the track holds out nothing.
+    """
+    board = track_of(boards, track)
+    runs = [run_of(board, start, name) for name in names] or _runs(board, start)
+    shared = asked_by_all(*runs, rows=select(board, "changed"))
+    lines = [["", *(f"`{run.method}`" for run in runs)]]
+    for name in (SEEN, *UNSEEN):
+        rows = shared[[board.queries[row].novelty == name for row in shared]]
+        if len(rows):
+            places = len(board.datasets_at(rows))
+            size = f"{places} {'place' if places == 1 else 'places'}, {_size(board, rows)}"
+            recalls = (recall(run.answers_at(rows), FOUND).text() for run in runs)
+            lines.append([f"{name.replace('-', ' ')} ({size})", *recalls])
+    if len(lines) == 1:
+        raise InputError(f"{track} holds out nothing: its queries are neither seen nor unseen")
+    return _markdown(lines)
+
+
 def covariances(boards: Boards, track: str, method: str) -> str:
     """Return how a method's errors compare with its covariances, by condition and start.
 
@@ -117,6 +150,7 @@ def covariances(boards: Boards, track: str, method: str) -> str:
 TABLES: Final[Mapping[str, Callable[..., str]]] = {
     "methods": methods,
     "recall": recall_by,
+    "novelty": novelty,
     "covariances": covariances,
 }
 """Each table by the first word of its comment; the other words are its arguments."""

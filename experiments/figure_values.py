@@ -2,7 +2,7 @@
 
 ``uav-seasons/none/objconnect/changed`` names one: the track, the start, the method and the queries.
 Words of ``QUERIES_HELP`` choose the queries, joined by ``+``; a fifth part names another figure
-than the recall at 0.5 m and 5 degrees, see ``FIGURES`` and ``PAIRED``.
+than the recall at 0.5 m and 5 degrees, see ``FIGURES``, ``PLACES`` and ``PAIRED``.
 """
 
 from __future__ import annotations
@@ -119,6 +119,9 @@ and 2 degrees, within 5 m and 10 degrees; queries found, missed, asked, their co
 without an answer; false fixes, answers wrong by more than 1 m, and answers worse than their prior,
 each as a count and a share; mean NEES; share of errors in the 95 % ellipsoid."""
 
+PLACES: Final = "places"
+"""The figure that counts the places of the queries."""
+
 
 class Pair:
     """Two methods on the queries that both were asked.
@@ -173,8 +176,11 @@ def value(boards: Mapping[str, TrackBoard], name: str) -> str:
     if other:
         of_pair = look_up(PAIRED, figure, "paired figure")
         return of_pair(Pair(board, run, run_of(board, start, other), words))
+    rows = asked_by_all(run, rows=select(board, words))
+    if figure == PLACES:
+        return str(len(board.datasets_at(rows)))
     of_answers = look_up(FIGURES, figure, "figure")
-    return of_answers(run.answers_at(asked_by_all(run, rows=select(board, words))))
+    return of_answers(run.answers_at(rows))
 
 
 def look_up(entries: Mapping[str, _Named], name: str, kind: str) -> _Named:

@@ -10,6 +10,8 @@ its arguments, see ``experiments.figure_tables.TABLES``::
     <!-- figures: recall uav-seasons error=3m,5deg part -->      a row for each kind of place
     <!-- figures: recall uav-seasons none condition all -->      a row for each condition
     <!-- figures: recall street-seasons error=3m,5deg part all -->
+    <!-- figures: novelty uav-surprise none -->                 seen and held out of training
+    <!-- figures: novelty uav-surprise none sift objconnect --> the same of two methods
     <!-- figures: covariances uav-seasons objconnect -->         NEES by condition and start
     <!-- end -->
 

@@ -8,11 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.report.board.runs import TrackBoard
+from benchmark.report.board.runs import TrackBoard, read_board
 from benchmark.scoring.score import recall
+from benchmark.tracks.description import load_track, write_track
+from experiments.figure_tables import table
 from experiments.figure_values import FOUND, p_text, select, value
 from experiments.figures import documents, insert_figures, list_stale, stored_results
+from objconnect.scene.bundle.held_out import HeldOut
 from objconnect.scene.errors import InputError
+from tests.benchmark.report.board.made_board import write_board
 from tests.docs.documents import name
 
 Boards = Mapping[str, TrackBoard]
@@ -65,6 +69,28 @@ def test_tables_of_commands_stay(boards: Boards) -> None:
     assert insert_figures(boards, text) == text
 
 
+def test_seen_and_unseen_are_compared_on_the_same_places(tmp_path: Path) -> None:
+    folder = write_board(tmp_path)
+    held = HeldOut(conditions=("snow",), presets=("park",))
+    track = load_track("uav-seasons", folder)
+    write_track(track.model_copy(update={"held_out": held}), folder)
+    (folder / "uav-seasons" / "results" / "none" / "town-2" / "pixloc.json").unlink()
+    boards = {"uav-seasons": read_board("uav-seasons", folder)}
+    rows = table(boards, "novelty uav-seasons none").splitlines()[2:]
+    assert [row.split("|")[1].strip() for row in rows] == [
+        "seen (1 place, 8, 1 course)",
+        "unseen condition (1 place, 8, 1 course)",
+        "unseen place (1 place, 8, 1 course)",
+        "unseen both (1 place, 8, 1 course)",
+    ]
+    chosen = table(boards, "novelty uav-seasons none sift objconnect").splitlines()
+    assert chosen[0] == "|  | `sift` | `objconnect` |"
+    assert chosen[2].startswith("| seen (2 places, 16, 2 courses) |")
+    cell = "uav-seasons/none/objconnect/unseen-condition"
+    assert value(boards, f"{cell}/places") == "2"
+    assert f" {value(boards, cell).removesuffix(' %')} [" in chosen[3].split("|")[3]
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -78,6 +104,7 @@ def test_tables_of_commands_stay(boards: Boards) -> None:
         ("a <!--figure:uav-small/none/sift/all/luck=sift--><!--end-->", "paired figure 'luck'"),
         ("<!--figure:uav-small/none/sift/all--><!--end-->", "begins a line"),
         ("<!-- figures: tables -->\n<!-- end -->", "no table 'tables'"),
+        ("<!-- figures: novelty uav-small none -->\n<!-- end -->", "holds out nothing"),
         ("<!-- figures: recall uav-small -->\n<!-- end -->", "recall uav-small"),
         ("<!-- figures: recall uav-small none row -->\n<!-- end -->", "no kind of row 'row'"),
     ],

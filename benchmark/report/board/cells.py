@@ -22,7 +22,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.report.board.runs import BoardQuery
+from benchmark.report.board.runs import BoardQuery, BoardRun
 from benchmark.scoring.intervals import Interval, share
 from benchmark.scoring.score import Threshold, is_correct
 from benchmark.scoring.uncertainty import PredictedOutcome, doubt
@@ -65,6 +65,19 @@ def cells(queries: Sequence[BoardQuery]) -> Iterator[Cell]:
     for condition in conditions(queries):
         rows = [k for k, query in enumerate(queries) if query.row.condition == condition]
         yield Cell(condition, ALL, np.array(rows))
+
+
+def shared_cells(queries: Sequence[BoardQuery], runs: Sequence[BoardRun]) -> Iterator[Cell]:
+    """Yield the cells with those queries only that every run was asked.
+
+    A cell without such queries is left out, and all are if every run was asked every query.
+    """
+    shared = np.array([run.has for run in runs]).all(axis=0)
+    if np.array_equal(shared, np.array([run.has for run in runs]).any(axis=0)):
+        return
+    for cell in cells(queries):
+        if len(rows := cell.rows[shared[cell.rows]]):
+            yield Cell(cell.season, cell.part, rows)
 
 
 def parts(queries: Sequence[BoardQuery]) -> tuple[str, ...]:

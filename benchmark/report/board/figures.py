@@ -9,7 +9,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.report.board.cells import Cell, cells, conditions, parts, recall_at_risk
+from benchmark.report.board.cells import (
+    Cell,
+    cells,
+    conditions,
+    parts,
+    recall_at_risk,
+    shared_cells,
+)
 from benchmark.report.board.difficulty import AXES, Axis, Bin, bin_recall
 from benchmark.report.board.pairing import reason_against
 from benchmark.report.board.runs import BoardRun, TrackBoard
@@ -46,6 +53,7 @@ def track_figures(board: TrackBoard) -> dict[str, Any]:
                 "words": start_in_words(start),
                 "runs": [_answers(board, run) for run in runs],
                 "cells": [_cell(board, cell, runs) for cell in cells(board.queries)],
+                "shared": [_cell(board, cell, runs) for cell in shared_cells(board.queries, runs)],
             }
             for start in board.track.starts
             if (runs := [run for run in board.runs if run.start == start])
@@ -97,6 +105,7 @@ def _cell(board: TrackBoard, cell: Cell, runs: Sequence[BoardRun]) -> dict[str, 
         "part": cell.part,
         "queries": len(cell.rows),
         "courses": len(np.unique(board.courses[cell.rows])),
+        "places": len(board.datasets_at(cell.rows)),
         "runs": [_run(board, cell, run) for run in runs],
         "pairs": [list(_pairs(board, cell, runs, number)) for number in range(len(THRESHOLDS))],
     }
@@ -117,6 +126,7 @@ def _run(board: TrackBoard, cell: Cell, run: BoardRun) -> dict[str, Any] | None:
     ]
     return {
         "summary": figures_of(summary),
+        "places": len(board.datasets_at(rows)),
         "nees": nees_of(summary.uncertainty),
         "bounded": [None if share is None else _interval(share) for share in bounded],
         "surest": [

@@ -202,10 +202,16 @@ def read_board(name: str, tracks_folder: Path) -> TrackBoard:
 
 
 def _missing(track: Track, paths: Mapping[_Key, Path | None]) -> Iterator[str]:
-    """Yield a sentence for each start and method that lacks results of a data set."""
+    """Yield a sentence for the places that were not rendered yet, and one for each start and method
+    that lacks results of another data set."""
+    has_results = {dataset for (_, dataset, _), path in paths.items() if path is not None}
+    known = [p for p in track.places if p.renders or p.dataset in has_results]
+    if later := [place.dataset for place in track.places if place not in known]:
+        count = f"{len(later)} of {len(track.places)} places"
+        yield f"{count} are not rendered yet: {', '.join(later)}"
+    names = [place.dataset for place in known]
     for start in track.starts:
         for method in track.methods:
-            names = [place.dataset for place in track.places]
             lacking = [name for name in names if paths[start, name, method] is None]
             if lacking:
                 which = "any data set" if lacking == names else ", ".join(lacking)

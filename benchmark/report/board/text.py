@@ -36,6 +36,7 @@ class HeadlineRow:
         part: "all" or a part of the track.
         method: label of the method.
         cell_queries: number of queries of the cell; a method may lack results of some of them.
+        places: number of places of the queries for which the method has results.
         surest: recall at 0.5 m 5° at bounded risk, see ``cells.recall_at_risk``; None if no answer
             has a probability or a sigma, or the reference poses do not judge 0.5 m.
         summary: figures of the queries.
@@ -46,6 +47,7 @@ class HeadlineRow:
     part: str
     method: str
     cell_queries: int
+    places: int
     surest: Recall | None
     summary: Summary
 
@@ -60,8 +62,9 @@ def headline(board: TrackBoard) -> Iterator[HeadlineRow]:
 
 
 def _row(board: TrackBoard, cell: Cell, run: BoardRun) -> HeadlineRow:
-    answers = run.answers_at(cell.rows)
-    unjudged = run.unjudged(board.datasets_at(cell.rows))
+    rows = cell.rows[run.has[cell.rows]]
+    answers = run.answers_at(rows)
+    unjudged = run.unjudged(board.datasets_at(rows))
     is_judged = str(THRESHOLDS[1]) not in unjudged
     surest = recall_at_risk(answers, THRESHOLDS[1]) if is_judged else None
     return HeadlineRow(
@@ -70,6 +73,7 @@ def _row(board: TrackBoard, cell: Cell, run: BoardRun) -> HeadlineRow:
         part=cell.part,
         method=run.label,
         cell_queries=len(cell.rows),
+        places=len(board.datasets_at(rows)),
         surest=None if surest is None else Recall(**surest._asdict()),
         summary=summarize(answers, unjudged=unjudged),
     )
@@ -90,7 +94,8 @@ def board_markdown(boards: Sequence[TrackBoard], rows: Sequence[Sequence[Headlin
         f"{INTEGRITY} Surest: "
         "answers are accepted in the order of their predicted probability (without one: of their "
         f"sigma) while fewer than {RISK:.0%} of the accepted answers are wrong at 0.5 m 5°; "
-        "the column is the share of all queries that are accepted and right.",
+        "the column is the share of all queries that are accepted and right. Where a method has "
+        "results of fewer queries than its cell (48 of 72), do not compare it with the others.",
     ]
     for board, figures in zip(boards, rows, strict=True):
         lines += ["", f"## {escape(board.track.name)}: {escape(board.track.title)}"]
@@ -120,7 +125,7 @@ def _card_line(card: Card) -> str:
 
 def _table(rows: Sequence[HeadlineRow]) -> Iterator[str]:
     recalls = [f"{threshold} (%)" for threshold in THRESHOLDS]
-    header = ["season", "part", "method", "queries", "courses", *recalls, "surest (%)"]
+    header = ["season", "part", "method", "queries", "courses", "places", *recalls, "surest (%)"]
     header += [*INTEGRITY_COLUMNS, "NEES", "in the ellipsoid (%)", "median m", "s/query"]
     yield line(header)
     yield line(["---", "---", "---", *["--:"] * (len(header) - 3)])
@@ -133,6 +138,7 @@ def _table(rows: Sequence[HeadlineRow]) -> Iterator[str]:
                 escape(row.method),
                 _format_count(summary.queries, row.cell_queries),
                 str(summary.courses),
+                str(row.places),
                 *(share_text(summary.recall[threshold.key]) for threshold in THRESHOLDS),
                 share_text(row.surest),
                 *(share_text(share) for share in summary.integrity()),

@@ -3,13 +3,15 @@
   const STATUS = ["ok", "fallback", "failed"];
   const PAGE = 10;
   const state = { track: 0, start: 0, season: CHANGED, part: ALL, threshold: Math.min(1, data.thresholds.length - 1),
-    sort: null, run: 0, shown: PAGE };
+    shared: 0, sort: null, run: 0, shown: PAGE };
 
   const track = () => data.tracks[state.track];
   const start = () => track().starts[state.start];
+  // Where methods were asked different queries, the cells of each one's, or of those that all were asked.
+  const cellsShown = () => (state.shared && start().shared.length ? start().shared : start().cells);
   const labelOf = (run) => start().runs[run].label;
   const everyRun = () => start().runs.map((_, run) => run);
-  const cellOf = (season, part) => start().cells.find((c) => c.season === season && c.part === part);
+  const cellOf = (season, part) => cellsShown().find((c) => c.season === season && c.part === part);
   const cell = () => cellOf(state.season, state.part);
   const seasonName = (season) => ({ [SAME]: "same season", [CHANGED]: "changed" }[season] || (NOVELTIES.includes(season) ? season.replace("-", " ") : season));
   const partName = (part) => (part === ALL ? "all places" : part);
@@ -19,14 +21,15 @@
 
   // ---- the cell in the address, so that it can be linked to
 
-  const words = () => [track().name, start() ? start().name : "", state.season, state.part, String(state.threshold)];
+  const words = () => [track().name, start() ? start().name : "", state.season, state.part, String(state.threshold), ...(state.shared ? ["shared"] : [])];
   const remember = () => history.replaceState(null, "", `#${words().map(encodeURIComponent).join("/")}`);
   const recall = () => {
-    const [name, from, season, part, at] = decodeURIComponent(location.hash.slice(1).replaceAll("/", "\n")).split("\n");
+    const [name, from, season, part, at, shared] = decodeURIComponent(location.hash.slice(1).replaceAll("/", "\n")).split("\n");
     const chosen = data.tracks.findIndex((t) => t.name === name);
     if (chosen < 0) return;
     state.track = chosen;
     state.start = Math.max(0, track().starts.findIndex((s) => s.name === from));
+    state.shared = shared === "shared" ? 1 : 0;
     if (data.thresholds[Number(at)]) state.threshold = Number(at);
     if (start() && cellOf(season, part)) Object.assign(state, { season, part });
   };
@@ -37,6 +40,7 @@
     { name: "method", word: true, key: (row) => row.label.toLowerCase() },
     { name: "queries", key: (row) => row.s.queries },
     { name: "courses", key: (row) => row.s.courses },
+    { name: "places", key: (row) => row.places },
     ...data.thresholds.map((t, k) => ({ name: `${t.text} %`, key: (row) => valueOf(row.s.recall[k]), best: "descending" })),
     { name: `surest at ${threshold()} %`, key: (row) => valueOf(row.bounded), best: "descending" },
     ...integrityColumns(" %"),
@@ -45,12 +49,13 @@
     { name: "s/query", key: (row) => row.s.seconds },
   ];
   const courses = (count) => `${count} ${count === 1 ? "course" : "courses"}`;
+  const places = (count) => `${count} ${count === 1 ? "place" : "places"}`;
   const headline = () => {
-    const rows = withFigures().map((run) => ({ run, label: labelOf(run), s: cell().runs[run].summary, bounded: cell().runs[run].bounded[state.threshold] }));
+    const rows = withFigures().map((run) => ({ run, label: labelOf(run), s: cell().runs[run].summary, places: cell().runs[run].places, bounded: cell().runs[run].bounded[state.threshold] }));
     return sortedTable("Results of the cell", columns(), ["look at"], rows, (row) => el("tr", {},
       el("th", { scope: "row", class: "word" }, swatch(row.run), row.label),
       el("td", {}, row.s.queries === cell().queries ? String(row.s.queries) : [String(row.s.queries), el("small", {}, `of ${cell().queries}`)]),
-      el("td", {}, String(row.s.courses)),
+      el("td", {}, String(row.s.courses)), el("td", {}, String(row.places)),
       row.s.recall.map((value) => recallCell(row.run, value)),
       shareCell(row.bounded), row.s.integrity.map(shareCell),
       el("td", {}, row.s.t === null ? "–" : [`${digits(row.s.t)} m`, el("small", {}, `${digits(row.s.r)}°`)]),
@@ -64,7 +69,7 @@
   };
 
   const overview = () => {
-    const { cells } = start(), seasons = [...new Set(cells.map((c) => c.season))];
+    const cells = cellsShown(), seasons = [...new Set(cells.map((c) => c.season))];
     const broad = seasons.filter((season) => [CHANGED, SAME].includes(season));
     const novel = cells.filter((c) => NOVELTIES.includes(c.season));
     const single = cells.filter((c) => !broad.includes(c.season) && !novel.includes(c));
@@ -75,7 +80,7 @@
           novel.length ? el("th", { scope: "colgroup", colspan: novel.length }, "changed, by what training may use") : null,
           single.length ? el("th", { scope: "colgroup", colspan: single.length }, "one condition, all places") : null),
         el("tr", {}, el("th", { scope: "col", class: "word" }, "method"), inOrder.map((c) => el("th", { scope: "col" },
-          broad.includes(c.season) ? partName(c.part) : seasonName(c.season), el("small", {}, `${c.queries} of ${courses(c.courses)}`))))),
+          broad.includes(c.season) ? partName(c.part) : seasonName(c.season), el("small", {}, `${c.queries} of ${courses(c.courses)}, ${places(c.places)}`))))),
       el("tbody", {}, everyRun().map((run) => el("tr", {}, el("th", { scope: "row", class: "word" }, swatch(run), labelOf(run)),
         inOrder.map((c) => {
           const figures = c.runs[run];
@@ -121,7 +126,7 @@
   // ---- integrity
 
   const consistency = () => {
-    const cells = start().cells.filter((c) => c.part === ALL);
+    const cells = cellsShown().filter((c) => c.part === ALL);
     return scroll("Covariances and false fixes by condition", el("table", {},
       el("thead", {}, el("tr", {}, el("th", { scope: "col", class: "word" }, "method"), el("th", { scope: "col", class: "word" }, "figure"),
         cells.map((c) => el("th", { scope: "col" }, seasonName(c.season))))),
@@ -149,7 +154,8 @@
 
   const inCell = () => {
     const q = track().queries, { conditions, parts } = track();
-    return q.name.map((_, k) => k).filter((k) => (state.part === ALL || parts[q.part[k]] === state.part)
+    const isAsked = cellsShown() === start().cells ? () => true : (k) => everyRun().every((run) => start().runs[run].status[k] !== null);
+    return q.name.map((_, k) => k).filter((k) => isAsked(k) && (state.part === ALL || parts[q.part[k]] === state.part)
       && (state.season === SAME ? q.same[k] : state.season === CHANGED ? !q.same[k]
         : NOVELTIES.includes(state.season) ? !q.same[k] && q.novelty[k] === state.season : conditions[q.condition[k]] === state.season));
   };
@@ -213,7 +219,7 @@
     const legendOf = (lines) => legend(labelOf, runs, lines);
     main.replaceChildren(
       el("section", { class: "card" }, el("h2", { id: "where" }, `${track().name}: ${where()}`),
-        el("p", { class: "quiet", id: "facts" }, `Start: ${start().words}. ${c.queries} queries of ${courses(c.courses)}, by which intervals and p are computed. [–]: of one course, the interval is unknown.`),
+        el("p", { class: "quiet", id: "facts" }, `Start: ${start().words}. ${c.queries} queries of ${courses(c.courses)} over ${places(c.places)}. Intervals and p are by course; [–]: of one course, the interval is unknown.`),
         headline(),
         el("p", { class: "quiet" }, `Surest: accept answers from the highest predicted probability down (or from the smallest sigma up) while fewer than 1 % of them are wrong at ${threshold()}. The figure is the share of all queries that are accepted and right.`)),
       el("div", { class: "grid" },
@@ -239,7 +245,7 @@
   const choose = (change) => {
     Object.assign(state, change, { shown: PAGE });
     if (!cell()) state.part = ALL;
-    if (!cell()) state.season = start().cells[0].season;
+    if (!cell()) state.season = cellsShown()[0].season;
     paintControls();
     paintCell();
   };
@@ -248,22 +254,27 @@
     el("select", { id, onchange: (event) => { change(options[Number(event.target.value)][0]); document.getElementById(id).focus(); } },
       options.map(([option, text], k) => el("option", { value: k, selected: option === chosen }, text))));
   const paintControls = () => {
-    const t = track(), { cells } = start();
+    const t = track(), cells = cellsShown();
     const seasons = [...new Set(cells.map((c) => c.season))];
     const parts = cells.filter((c) => c.season === state.season).map((c) => c.part);
-    document.getElementById("controls").replaceChildren(
+    document.getElementById("controls").replaceChildren(...[
       select("start", "start", t.starts.map((s, k) => [k, s.words]), state.start, (value) => choose({ start: value, sort: null })),
       select("season", "condition", seasons.map((season) => [season, seasonName(season)]), state.season, (value) => choose({ season: value })),
       select("part", "part", parts.map((part) => [part, partName(part)]), state.part, (value) => choose({ part: value })),
-      group("threshold", "recall at", data.thresholds.map((t, k) => [k, t.text]), state.threshold, (value) => { choose({ threshold: value }); focusOn("threshold", value); }));
+      start().shared.length ? group("shared", "queries", [[0, "of each method"], [1, "of all methods"]], state.shared, (value) => { choose({ shared: value }); focusOn("shared", value); }) : null,
+      group("threshold", "recall at", data.thresholds.map((t, k) => [k, t.text]), state.threshold, (value) => { choose({ threshold: value }); focusOn("threshold", value); }),
+    ].filter(Boolean));
   };
 
+  const measured = (t) => [...new Set(t.queries.dataset)].map((k) => t.datasets[k][0]);
+  const results = (t) => (measured(t).length < t.datasets.length && t.starts.length ? `${measured(t).length} of ${places(t.datasets.length)}, ` : "");
   const paintTrack = () => {
     const t = track(), main = document.getElementById("board");
     forgetCharts(main);
     main.replaceChildren(...[
       el("p", { class: "lede" }, t.title),
       t.starts.length ? el("div", { class: "controls", id: "controls" }) : el("p", { class: "note" }, "Nothing is measured on this track yet."),
+      results(t) ? el("p", { class: "note", id: "measured" }, `Measured so far: ${results(t)}namely ${measured(t).join(", ")}.`) : null,
       el("div", { id: "cell" }),
       t.cards.length ? el("details", {}, el("summary", {}, `What the authors of submissions state: ${t.cards.length}`), scroll("What the authors of submissions state", el("table", {},
         el("thead", {}, el("tr", {}, ["method", "authors", "start", "description", "trained on", "hardware", "code or paper", "data sets"].map((name) => el("th", {}, name)))),
@@ -278,7 +289,7 @@
 
   document.getElementById("tracks").append(...data.tracks.map((t, k) => el("button", { type: "button",
     onclick: () => { Object.assign(state, { track: k, start: 0, season: CHANGED, part: ALL, sort: null, run: 0 }); paintTrack(); } },
-    t.name, el("small", {}, `${t.queries.name.length} queries, ${t.methods.length} methods, ${t.starts.length} starts`))));
+    t.name, el("small", {}, `${results(t)}${t.queries.name.length} queries, ${t.methods.length} methods, ${t.starts.length} starts`))));
   recall();
   paintTrack();
   document.getElementById("paper").append(...paper());

@@ -108,9 +108,9 @@ def test_figures_are_those_of_the_results(page: Browser, report: BoardReport) ->
     recall = pixloc.summary.recall["0.5m_5deg"]
     cells = page.texts("#rows tr:nth-child(2) td")
     shown = f"{recall.value:.1f}", f"[{recall.low:.1f},", f"{recall.high:.1f}]"
-    assert tuple(cells[3].split()) == shown
-    assert cells[:2] == ["48", "6"]
-    assert "48 queries of 6 courses" in page.texts("#facts")[0]
+    assert tuple(cells[4].split()) == shown
+    assert cells[:3] == ["48", "6", "3"]
+    assert "48 queries of 6 courses over 3 places" in page.texts("#facts")[0]
     assert page.texts("#bounded tbody tr:nth-child(2) td")[1].split("\n")[0] == (
         f"{pixloc.surest.value:.1f}"
     )
@@ -151,8 +151,53 @@ def test_a_method_that_was_asked_a_part_of_the_queries_says_so(
     browser.open(tmp_path / "out" / "leaderboard.html")
     first = [browser.texts(f"#rows tr:nth-child({k}) td")[0] for k in (1, 2, 3)]
     assert first == ["48", "32\nof 48", "48"]
+    assert [browser.texts(f"#rows tr:nth-child({k}) td")[2] for k in (1, 2)] == ["3", "2"]
     heat = [browser.texts(f".heat tbody tr:nth-child({k}) td:nth-child(2) small") for k in (1, 2)]
     assert heat == [[], ["of 32"]]
+
+
+def test_methods_are_compared_on_the_places_that_all_were_run_on(
+    tmp_path: Path, browser: Browser
+) -> None:
+    made = write_board(tmp_path / "tracks")
+    (made / "uav-seasons" / "results" / "none" / "town-2" / "pixloc.json").unlink()
+    found = board(made, tmp_path / "out").boards[0]
+    (run,) = (r for r in found.runs if (r.start, r.method) == ("none", "objconnect"))
+    shared = [k for k, q in enumerate(found.queries) if q.dataset != "town-2" and not q.same]
+    right = 100 * run.correct[1, shared].mean()
+    browser.open(tmp_path / "out" / "leaderboard.html")
+    assert not browser.texts("[data-of=shared]"), "from 3 m all methods have the same queries"
+    choose(browser, "start", "no prior")
+    browser.click("[data-of=shared][data-value='1']")
+    facts = [browser.texts(f"#rows tr:nth-child({k}) td")[:3] for k in (1, 2, 3)]
+    assert facts == [["32", "4", "2"]] * 3
+    shown = browser.texts("#rows tr:nth-child(3) td")[4].split()[0]
+    assert float(shown) == pytest.approx(right, abs=0.06)
+    assert "32 queries of 4 courses over 2 places" in browser.texts("#facts")[0]
+    assert "of 32 queries" in browser.texts("#worst-queries div .quiet")[0]
+    assert browser.run("location.hash").endswith("/1/shared")
+    browser.reload()
+    assert browser.texts("#rows tr:nth-child(1) td")[0] == "32"
+    choose(browser, "part", "town")
+    assert "16 queries of 2 courses over 1 place." in browser.texts("#facts")[0]
+    assert is_clean(browser)
+
+
+def test_a_track_measured_in_part_says_which_places(tmp_path: Path, browser: Browser) -> None:
+    made = write_board(tmp_path / "tracks")
+    track = load_track("uav-seasons", made)
+    later = TrackPlace(dataset="park-2", preset="park", seed=2)
+    write_track(track.model_copy(update={"places": (later, *track.places)}), made)
+    report = board(made, tmp_path / "out")
+    missing = ("1 of 4 places are not rendered yet: park-2",)
+    assert report.boards[0].missing == missing
+    browser.open(tmp_path / "out" / "leaderboard.html")
+    said = "3 of 4 places, 72 queries, 3 methods, 2 starts"
+    assert browser.texts("#tracks button small") == [said]
+    assert browser.texts("#measured") == [
+        "Measured so far: 3 of 4 places, namely park-1, town-1, town-2."
+    ]
+    assert is_clean(browser)
 
 
 def test_filters_change_the_table(page: Browser, report: BoardReport) -> None:
@@ -169,7 +214,7 @@ def test_filters_change_the_table(page: Browser, report: BoardReport) -> None:
             best = row(report, start=start, season=season, part=part, method="objconnect").summary
             cells = page.texts("#rows tr:nth-child(3) td")
             assert cells[:2] == [str(best.queries), str(best.courses)]
-            assert cells[4].split("\n")[0] == f"{best.recall['5m_10deg'].value:.1f}"
+            assert cells[5].split("\n")[0] == f"{best.recall['5m_10deg'].value:.1f}"
     # A single condition is of all places only.
     assert page.texts("#part option") == ["all places"]
     assert is_clean(page)
@@ -185,7 +230,7 @@ def test_what_the_reference_poses_do_not_judge_is_a_dash(tmp_path: Path, browser
     board(made, tmp_path / "out")
     browser.open(tmp_path / "out" / "leaderboard.html")
     cells = browser.texts("#rows tr:nth-child(3) td")
-    assert [cell == "–" for cell in cells[2:9]] == [True, True, False, True, False, True, True]
+    assert [cell == "–" for cell in cells[3:10]] == [True, True, False, True, False, True, True]
     assert browser.texts(".heat tbody td") == ["–"] * 3 * len(browser.texts(".heat thead th small"))
     assert "too inexact to judge 0.5 m 5°" in browser.texts("#pairs")[0]
     browser.click("[data-of=threshold]:nth-of-type(3)")
@@ -207,7 +252,7 @@ def test_cells_of_what_is_held_out_are_shown(tmp_path: Path, browser: Browser) -
         listed = browser.texts("#worst-queries .choice .quiet")[0]
         assert f"of {queries} queries" in listed
     # One course: no interval, no p.
-    assert "[–]" in browser.texts("#rows td:nth-child(4)")[0]
+    assert "[–]" in browser.texts("#rows td:nth-child(5)")[0]
     assert "p unknown" in browser.texts("#pairs tbody tr:nth-child(3) td")[0]
     assert "changed, by what training may use" in browser.texts("#overview thead th")
     assert is_clean(browser)
@@ -217,16 +262,16 @@ def test_the_table_can_be_sorted(page: Browser) -> None:
     assert methods(page) == ["sift", "pixloc", "objconnect"]
     page.click("#results thead th:nth-child(1) button")
     assert methods(page) == ["objconnect", "pixloc", "sift"]
-    page.click("#results thead th:nth-child(4) button")
-    values = [float(text.split("\n")[0]) for text in page.texts("#rows td:nth-child(4)")]
+    page.click("#results thead th:nth-child(5) button")
+    values = [float(text.split("\n")[0]) for text in page.texts("#rows td:nth-child(5)")]
     assert values == sorted(values, reverse=True)
-    page.click("#results thead th:nth-child(4) button")
-    assert page.run("document.querySelector('#results th:nth-child(4)').ariaSort") == "ascending"
-    values = [float(text.split("\n")[0]) for text in page.texts("#rows td:nth-child(4)")]
+    page.click("#results thead th:nth-child(5) button")
+    assert page.run("document.querySelector('#results th:nth-child(5)').ariaSort") == "ascending"
+    values = [float(text.split("\n")[0]) for text in page.texts("#rows td:nth-child(5)")]
     assert values == sorted(values)
     # The order outlives another cell.
     choose(page, "season", "same season")
-    assert page.run("document.querySelector('#results th:nth-child(4)').ariaSort") == "ascending"
+    assert page.run("document.querySelector('#results th:nth-child(5)').ariaSort") == "ascending"
     assert is_clean(page)
 
 
