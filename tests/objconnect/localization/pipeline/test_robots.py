@@ -293,11 +293,11 @@ def meadow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[object, ...
 @pytest.mark.parametrize(
     ("code", "says"),
     [
-        ("EPSG:99999", "no coordinate reference system"),
+        ("EPSG:99999", "is not a coordinate reference system"),
         ("EPSG:4978", "has no eastings and northings"),
         ("EPSG:5773", "has no eastings and northings"),
         ("EPSG:7415", "need the grid nl_nsgi_nlgeo2018.tif"),
-        ("\x1b[31m", "no coordinate reference system"),
+        ("\x1b[31m", "is not a coordinate reference system"),
     ],
 )
 def test_systems_that_cannot_be_written(

@@ -294,7 +294,7 @@ def test_tables_of_positions(tmp_path: Path) -> None:
         ("a.txt", "1 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n", "'1' is listed twice"),
         ("a.csv", "name,lat\na,1\n", "expected the columns"),
         ("a.csv", "name,e,n,u\na,nan,1,1\n", "not finite"),
-        ("a.csv", "name,lat,lon,alt\na,91,1,1\n", "no place on earth"),
+        ("a.csv", "name,lat,lon,alt\na,91,1,1\n", "is not a place on earth"),
         ("a.pdf", "x", "is not a file of poses: it is neither a folder of a COLMAP model, nor"),
     ],
 )

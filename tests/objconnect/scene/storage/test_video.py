@@ -124,7 +124,7 @@ def test_an_unknown_codec_is_refused_in_one_line(flight: Path) -> None:
 def test_a_video_without_its_index_is_refused_in_one_line(flight: Path) -> None:
     """The index of an MP4 file comes last: a card that was pulled out leaves none."""
     flight.write_bytes(flight.read_bytes()[:900])
-    with pytest.raises(InputError, match="no video that can be read"):
+    with pytest.raises(InputError, match="cannot be read as a video"):
         list(decode_frames(flight))
 
 
