@@ -167,7 +167,7 @@ class CoarseSearch:
 
 
 def hypotheses(
-    prior: Prior | None, grid: GroundGrid, height: float, tilt: Tensor = LEVEL
+    prior: Prior | None, grid: GroundGrid, height: float, tilt_rotation: Tensor = LEVEL
 ) -> Hypotheses:
     """Return the headings, altitudes, tilts and region to search for a prior.
 
@@ -178,7 +178,7 @@ def hypotheses(
         prior: prior of the query.
         grid: grid of the ground.
         height: height of the map's photographs above ground, metres.
-        tilt: rotation (3, 3) that tilts the camera if the prior has no attitude.
+        tilt_rotation: (3, 3), tilts the camera if the prior has no attitude.
     """
     step = math.tau / _HEADINGS
     turns = [(k - (_TURNS - 1) / 2) * step / _TURNS for k in range(_TURNS)]
@@ -193,5 +193,5 @@ def hypotheses(
         altitude = up - grid.height_at(east, north)
         if prior.position_sigma[2] < _KNOWN_ALTITUDE_SHARE * altitude:
             altitudes = [altitude]
-    tilts = [LEVEL if has_attitude(prior) else tilt]
+    tilts = [LEVEL if has_attitude(prior) else tilt_rotation]
     return Hypotheses(passes, turns, altitudes, region, tilts)
