@@ -108,8 +108,8 @@ def test_figures_are_those_of_the_results(page: Browser, report: BoardReport) ->
     recall = pixloc.summary.recall["0.5m_5deg"]
     cells = page.texts("#rows tr:nth-child(2) td")
     shown = f"{recall.value:.1f}", f"[{recall.low:.1f},", f"{recall.high:.1f}]"
-    assert tuple(cells[4].split()) == shown
-    assert cells[:3] == ["48", "6", "3"]
+    assert tuple(cells[3].split()) == shown
+    assert cells[:2] == ["48", "6\nin 3 places"]
     assert "48 queries of 6 courses over 3 places" in page.texts("#facts")[0]
     assert page.texts("#bounded tbody tr:nth-child(2) td")[1].split("\n")[0] == (
         f"{pixloc.surest.value:.1f}"
@@ -151,7 +151,8 @@ def test_a_method_that_was_asked_a_part_of_the_queries_says_so(
     browser.open(tmp_path / "out" / "leaderboard.html")
     first = [browser.texts(f"#rows tr:nth-child({k}) td")[0] for k in (1, 2, 3)]
     assert first == ["48", "32\nof 48", "48"]
-    assert [browser.texts(f"#rows tr:nth-child({k}) td")[2] for k in (1, 2)] == ["3", "2"]
+    courses = [browser.texts(f"#rows tr:nth-child({k}) td")[1] for k in (1, 2)]
+    assert [text.split("\n")[1] for text in courses] == ["in 3 places", "in 2 places"]
     heat = [browser.texts(f".heat tbody tr:nth-child({k}) td:nth-child(2) small") for k in (1, 2)]
     assert heat == [[], ["of 32"]]
 
@@ -169,9 +170,9 @@ def test_methods_are_compared_on_the_places_that_all_were_run_on(
     assert not browser.texts("[data-of=shared]"), "from 3 m all methods have the same queries"
     choose(browser, "start", "no prior")
     browser.click("[data-of=shared][data-value='1']")
-    facts = [browser.texts(f"#rows tr:nth-child({k}) td")[:3] for k in (1, 2, 3)]
-    assert facts == [["32", "4", "2"]] * 3
-    shown = browser.texts("#rows tr:nth-child(3) td")[4].split()[0]
+    facts = [browser.texts(f"#rows tr:nth-child({k}) td")[:2] for k in (1, 2, 3)]
+    assert facts == [["32", "4\nin 2 places"]] * 3
+    shown = browser.texts("#rows tr:nth-child(3) td")[3].split()[0]
     assert float(shown) == pytest.approx(right, abs=0.06)
     assert "32 queries of 4 courses over 2 places" in browser.texts("#facts")[0]
     assert "of 32 queries" in browser.texts("#worst-queries div .quiet")[0]
@@ -213,8 +214,8 @@ def test_filters_change_the_table(page: Browser, report: BoardReport) -> None:
             assert page.texts("#where") == [f"uav-seasons: {', '.join(named)}"]
             best = row(report, start=start, season=season, part=part, method="objconnect").summary
             cells = page.texts("#rows tr:nth-child(3) td")
-            assert cells[:2] == [str(best.queries), str(best.courses)]
-            assert cells[5].split("\n")[0] == f"{best.recall['5m_10deg'].value:.1f}"
+            assert [cells[0], cells[1].split("\n")[0]] == [str(best.queries), str(best.courses)]
+            assert cells[4].split("\n")[0] == f"{best.recall['5m_10deg'].value:.1f}"
     # A single condition is of all places only.
     assert page.texts("#part option") == ["all places"]
     assert is_clean(page)
@@ -230,7 +231,7 @@ def test_what_the_reference_poses_do_not_judge_is_a_dash(tmp_path: Path, browser
     board(made, tmp_path / "out")
     browser.open(tmp_path / "out" / "leaderboard.html")
     cells = browser.texts("#rows tr:nth-child(3) td")
-    assert [cell == "–" for cell in cells[3:10]] == [True, True, False, True, False, True, True]
+    assert [cell == "–" for cell in cells[2:9]] == [True, True, False, True, False, True, True]
     assert browser.texts(".heat tbody td") == ["–"] * 3 * len(browser.texts(".heat thead th small"))
     assert "too inexact to judge 0.5 m 5°" in browser.texts("#pairs")[0]
     browser.click("[data-of=threshold]:nth-of-type(3)")
@@ -252,7 +253,7 @@ def test_cells_of_what_is_held_out_are_shown(tmp_path: Path, browser: Browser) -
         listed = browser.texts("#worst-queries .choice .quiet")[0]
         assert f"of {queries} queries" in listed
     # One course: no interval, no p.
-    assert "[–]" in browser.texts("#rows td:nth-child(5)")[0]
+    assert "[–]" in browser.texts("#rows td:nth-child(4)")[0]
     assert "p unknown" in browser.texts("#pairs tbody tr:nth-child(3) td")[0]
     assert "changed, by what training may use" in browser.texts("#overview thead th")
     assert is_clean(browser)
@@ -262,16 +263,16 @@ def test_the_table_can_be_sorted(page: Browser) -> None:
     assert methods(page) == ["sift", "pixloc", "objconnect"]
     page.click("#results thead th:nth-child(1) button")
     assert methods(page) == ["objconnect", "pixloc", "sift"]
-    page.click("#results thead th:nth-child(5) button")
-    values = [float(text.split("\n")[0]) for text in page.texts("#rows td:nth-child(5)")]
+    page.click("#results thead th:nth-child(4) button")
+    values = [float(text.split("\n")[0]) for text in page.texts("#rows td:nth-child(4)")]
     assert values == sorted(values, reverse=True)
-    page.click("#results thead th:nth-child(5) button")
-    assert page.run("document.querySelector('#results th:nth-child(5)').ariaSort") == "ascending"
-    values = [float(text.split("\n")[0]) for text in page.texts("#rows td:nth-child(5)")]
+    page.click("#results thead th:nth-child(4) button")
+    assert page.run("document.querySelector('#results th:nth-child(4)').ariaSort") == "ascending"
+    values = [float(text.split("\n")[0]) for text in page.texts("#rows td:nth-child(4)")]
     assert values == sorted(values)
     # The order outlives another cell.
     choose(page, "season", "same season")
-    assert page.run("document.querySelector('#results th:nth-child(5)').ariaSort") == "ascending"
+    assert page.run("document.querySelector('#results th:nth-child(4)').ariaSort") == "ascending"
     assert is_clean(page)
 
 
