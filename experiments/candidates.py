@@ -10,27 +10,19 @@ queries whose first candidate is near, or one of the first eight, and the proces
 
 from __future__ import annotations
 
-import argparse
 import math
-import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
-from pathlib import Path
 from time import process_time
 from typing import Final, NamedTuple
 
 import numpy as np
-import torch
 
-from benchmark.datasets.dataset import Dataset
-from benchmark.datasets.open import open_datasets
+from experiments.searches import Searched, measure_searches
 from objconnect.localization.coarse.search import Candidate
-from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
-from objconnect.methods import create
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.views import tilt
 from objconnect.scene.localizer import Stopwatch
-from objconnect.scene.runtime.progress import progress_bar
 
 _NEAR_M, _NEAR_DEG = 8.0, 10.0
 _FIRST: Final = 8
@@ -63,22 +55,16 @@ def rank_candidates(candidates: Sequence[Candidate], truth: Pose) -> float:
     return math.inf
 
 
-def rank_dataset(dataset: Dataset, every: int, cache: Path) -> Iterator[Ranked]:
-    """Yield the candidates of each finder for every N-th query."""
-    localizer = create("objconnect", {"matches": None, "tracking": None})
-    assert isinstance(localizer, FeaturemetricLocalizer)
-    localizer.prepare(dataset.load_map(), dataset.images, cache)
-    search, queries = localizer.map_state.search, dataset.queries[::every]
-    with progress_bar(dataset.name, len(queries)) as advance, torch.inference_mode():
-        for done, query in enumerate(queries, 1):
-            degrees = math.degrees(tilt(query.reference.rotation.numpy()))
-            loaded = query.load()
-            begin = process_time()
-            for number, found in enumerate(search.find(loaded, Stopwatch()), 1):
-                rank = rank_candidates(found, query.reference)
-                yield Ranked(number, degrees, rank, process_time() - begin)
-                begin = process_time()
-            advance(done)
+def rank_query(searched: Searched) -> list[Ranked]:
+    """Return the lists of candidates of a query."""
+    search, query, truth = searched
+    degrees = math.degrees(tilt(truth.rotation.numpy()))
+    ranked, begin = [], process_time()
+    for number, found in enumerate(search.find(query, Stopwatch()), 1):
+        rank = rank_candidates(found, truth)
+        ranked.append(Ranked(number, degrees, rank, process_time() - begin))
+        begin = process_time()
+    return ranked
 
 
 def _print_table(ranked: Sequence[Ranked]) -> None:
@@ -95,23 +81,6 @@ def _print_table(ranked: Sequence[Ranked]) -> None:
                 print(f"| {number} | {shown} |")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("datasets", nargs="+", type=Path)
-    parser.add_argument("--every", type=int, default=1)
-    parser.add_argument("--cache", type=Path)
-    args = parser.parse_args()
-    torch.set_num_threads(1)
-    cache = args.cache or Path(tempfile.mkdtemp())
-    _print_table(
-        [
-            ranked
-            for path in args.datasets
-            for dataset in open_datasets(path)[:1]
-            for ranked in rank_dataset(dataset, args.every, cache)
-        ]
-    )
-
-
 if __name__ == "__main__":
-    main()
+    measured = measure_searches(__doc__, rank_query)
+    _print_table([ranked for query in measured for ranked in query])

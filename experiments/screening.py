@@ -12,27 +12,15 @@ processor seconds of a rough alignment; the last line those of a full one.
 
 from __future__ import annotations
 
-import argparse
-import tempfile
 from collections import defaultdict
-from collections.abc import Iterator
-from pathlib import Path
 from time import process_time
 from typing import Final, NamedTuple
 
 import numpy as np
-import torch
 
-from benchmark.datasets.dataset import Dataset
-from benchmark.datasets.open import open_datasets
-from benchmark.evaluation.starts import parse_start
-from objconnect.localization.featuremetric.global_search import GlobalSearch
-from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
+from experiments.searches import Searched, measure_searches
 from objconnect.localization.featuremetric.screening import rough_peak
-from objconnect.methods import create
-from objconnect.scene.geometry.pose import Pose
-from objconnect.scene.localizer import Query, Stopwatch
-from objconnect.scene.runtime.progress import progress_bar
+from objconnect.scene.localizer import Stopwatch
 
 # Metres per pixel as multiples of those of the map's photographs.
 _COARSER: Final = (1.0, 1.5, 2.0)
@@ -53,21 +41,9 @@ class Screened(NamedTuple):
     seconds: tuple[float, ...]
 
 
-def screen_dataset(dataset: Dataset, every: int, cache: Path) -> Iterator[list[Screened]]:
-    """Yield the candidates of every N-th query."""
-    localizer = create("objconnect", {"matches": None, "tracking": None})
-    assert isinstance(localizer, FeaturemetricLocalizer)
-    sparse_map = dataset.load_map()
-    localizer.prepare(sparse_map, dataset.images, cache)
-    load = parse_start("none").loader(dataset, sparse_map, cache)
-    queries = dataset.queries[::every]
-    with progress_bar(dataset.name, len(queries)) as advance, torch.inference_mode():
-        for done, query in enumerate(queries, 1):
-            yield _screen_query(localizer.map_state.search, load(query), query.reference)
-            advance(done)
-
-
-def _screen_query(search: GlobalSearch, query: Query, truth: Pose) -> list[Screened]:
+def screen_query(searched: Searched) -> list[Screened]:
+    """Align the candidates of a query roughly and in full."""
+    search, query, truth = searched
     screened, clock = [], Stopwatch()
     for candidates in search.find(query, clock):
         for candidate in candidates:
@@ -104,23 +80,5 @@ def _print_table(queries: list[list[Screened]]) -> None:
     print(f"full alignment: {seconds[-1]:.2f} s")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("datasets", nargs="+", type=Path)
-    parser.add_argument("--every", type=int, default=1)
-    parser.add_argument("--cache", type=Path)
-    args = parser.parse_args()
-    torch.set_num_threads(1)
-    cache = args.cache or Path(tempfile.mkdtemp())
-    _print_table(
-        [
-            screened
-            for path in args.datasets
-            for dataset in open_datasets(path)[:1]
-            for screened in screen_dataset(dataset, args.every, cache)
-        ]
-    )
-
-
 if __name__ == "__main__":
-    main()
+    _print_table(measure_searches(__doc__, screen_query))

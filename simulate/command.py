@@ -29,7 +29,7 @@ from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.runtime.cluster import worker_pool
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.atomic import TEMPORARY_PREFIX
-from objconnect.scene.storage.images import Exif, write_jpeg
+from objconnect.scene.storage.exif import Exif, write_jpeg
 from objconnect.scene.storage.locks import write_lock
 from objconnect.scene.storage.resumable import ResumableFolder
 from simulate.annotations import measure_covisibility, pixel_digests

@@ -22,7 +22,7 @@ from objconnect.scene.geometry.camera import MODELS, Camera
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.robust import CAUCHY_SCALE, SIGMA_OF_MEDIAN
 from objconnect.scene.geometry.sampson import Matches
-from objconnect.scene.storage.images import Exif
+from objconnect.scene.storage.exif import Exif
 
 Array = NDArray[np.float64]
 

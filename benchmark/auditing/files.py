@@ -12,7 +12,8 @@ from objconnect.scene.geo.sea_level import above_ellipsoid
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.digests import sha256_of
-from objconnect.scene.storage.images import Exif, read_exif, read_rgb
+from objconnect.scene.storage.exif import Exif, read_exif
+from objconnect.scene.storage.images import read_rgb
 
 READABLE = "photographs are there and readable"
 SIZES = "photographs have the size of their cameras"

@@ -23,7 +23,7 @@ from objconnect.scene.imports.names import match_files
 from objconnect.scene.imports.poses import ForeignPoses, Frame
 from objconnect.scene.imports.unsupported import refuse_unsupported
 from objconnect.scene.maps.colmap_files import read_model
-from objconnect.scene.storage.images import read_exif
+from objconnect.scene.storage.exif import read_exif
 from objconnect.scene.storage.listing import list_files
 from objconnect.scene.storage.tables import read_table
 

@@ -18,7 +18,7 @@ from benchmark.auditing.statements import StatedData
 from objconnect.ingestion.georegister import fit_similarity
 from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic, is_on_earth, median_place
 from objconnect.scene.geometry.robust import SIGMA_OF_MEDIAN
-from objconnect.scene.storage.images import Exif
+from objconnect.scene.storage.exif import Exif
 
 Array = NDArray[np.float64]
 

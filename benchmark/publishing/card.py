@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from importlib.resources import files
 from pathlib import Path
 from string import Template
@@ -10,8 +10,7 @@ from typing import Any, Final
 
 import yaml
 
-from benchmark.publishing.columns import Column
-from benchmark.publishing.description import Description, Release
+from benchmark.publishing.description import Publication
 from benchmark.publishing.index import Published, PublishedScene
 from benchmark.publishing.licenses import hub_license, license_url
 from benchmark.publishing.previews import preview_name
@@ -31,30 +30,21 @@ _SEALED_USE: Final = "objconnect submit FOLDER --method sift --out SUBMISSION"
 _DIGEST_DIGITS: Final = 12
 
 
-def write_card(
-    folder: Path,
-    name: str,
-    release: Release,
-    published: Published,
-    description: Description,
-    columns: Mapping[str, Column],
-) -> None:
+def write_card(folder: Path, publication: Publication) -> None:
     """Write the data card of a folder.
 
     Args:
         folder: the published folder.
-        name: name of the data set.
-        release: what the publisher states.
-        published: the scenes.
-        description: what the card says of the data set.
-        columns: columns of the shards.
+        publication: the facts that the card states.
 
     Raises:
         InputError: the file cannot be written.
     """
+    published, description = publication.published, publication.description
+    release, columns = publication.release, publication.columns
     template = (files("benchmark.publishing") / "card.md").read_text(encoding="utf-8")
     body = Template(template).substitute(
-        name=name,
+        name=publication.name,
         use=_SEALED_USE if published.sealed else _USE,
         summary=description.summary,
         pictures="\n".join(f"![{s.name}]({preview_name(s.name)})" for s in published.scenes),
@@ -70,7 +60,9 @@ def write_card(
         uses=_bullets(description.uses),
         personal=description.personal,
     )
-    matter = yaml.safe_dump(_front_matter(name, published), sort_keys=False, allow_unicode=True)
+    matter = yaml.safe_dump(
+        _front_matter(publication.name, published), sort_keys=False, allow_unicode=True
+    )
     write_text(folder / CARD, f"---\n{matter}---\n\n{body}")
 
 

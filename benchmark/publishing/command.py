@@ -9,7 +9,7 @@ from pathlib import Path
 from benchmark.publishing.card import write_card
 from benchmark.publishing.columns import Column, columns_with
 from benchmark.publishing.croissant import write_croissant
-from benchmark.publishing.description import Release, describe
+from benchmark.publishing.description import Publication, Release, describe
 from benchmark.publishing.index import (
     INDEX,
     Published,
@@ -117,12 +117,13 @@ def _write(
     scenes = tuple(_write_scene(folder, source, columns) for source in sources)
     sealed = sources[0].rows.sealed
     published = Published(license=license_id, layers=tuple(layers), scenes=scenes, sealed=sealed)
-    digests = {path: sha256 for scene in scenes for path, sha256 in scene.files.items()}
-    description = describe(published, sum((folder / path).stat().st_size for path in digests))
+    total_bytes = sum((folder / path).stat().st_size for path in published.files)
+    description = describe(published, total_bytes)
+    publication = Publication(name, release, published, description, columns)
     write_json(folder / INDEX, published)
-    write_card(folder, name, release, published, description, columns)
-    write_croissant(folder, name, release, license_id, description, columns, digests)
-    write_checksums(folder, digests)
+    write_card(folder, publication)
+    write_croissant(folder, publication)
+    write_checksums(folder, published.files)
 
 
 def _write_scene(folder: Path, source: Source, columns: Mapping[str, Column]) -> PublishedScene:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.publishing.columns import Column
-from benchmark.publishing.description import Description, Release
+from benchmark.publishing.description import Description, Publication, Release
 from benchmark.publishing.licenses import license_url
 from objconnect.scene.storage.atomic import write_text
 
@@ -46,53 +46,42 @@ _FILE_SET: Final = {
 }
 
 
-# More than six parameters: they are the parts of the metadata.
-def write_croissant(
-    folder: Path,
-    name: str,
-    release: Release,
-    license_id: str,
-    description: Description,
-    columns: Mapping[str, Column],
-    digests: Mapping[str, str],
-) -> None:
+def write_croissant(folder: Path, publication: Publication) -> None:
     """Write the metadata of a folder.
 
     Args:
         folder: the published folder.
-        name: name of the data set.
-        release: what the publisher states.
-        license_id: SPDX identifier.
-        description: what the metadata say of the data set.
-        columns: columns of the shards.
-        digests: SHA-256 of each file of the scenes by its path in the folder.
+        publication: the facts that the metadata state.
 
     Raises:
         InputError: the file cannot be written.
     """
-    distribution = [_file(folder, path, sha256) for path, sha256 in digests.items()]
+    release = publication.release
+    distribution = [
+        _file(folder, path, sha256) for path, sha256 in publication.published.files.items()
+    ]
     metadata = {
         "@context": json.loads(
             (files("benchmark.publishing") / "context.json").read_text(encoding="utf-8")
         ),
         "@type": "sc:Dataset",
         "conformsTo": list(_SPECIFICATIONS),
-        "name": name,
-        "description": description.summary,
-        "license": license_url(license_id),
+        "name": publication.name,
+        "description": publication.description.summary,
+        "license": license_url(publication.published.license),
         "version": release.version,
-        "citeAs": _citation(name, release),
+        "citeAs": _citation(publication.name, release),
         "keywords": ["UAV", "visual localization", "camera pose", "COLMAP"],
         "inLanguage": "en",
-        **_publication(release),
-        **_responsible_ai(description),
+        **_origin(release),
+        **_responsible_ai(publication.description),
         "distribution": [*distribution, _FILE_SET],
-        "recordSet": [_record_set(columns)],
+        "recordSet": [_record_set(publication.columns)],
     }
     write_text(folder / CROISSANT, json.dumps(metadata, indent=1, ensure_ascii=False) + "\n")
 
 
-def _publication(release: Release) -> dict[str, Any]:
+def _origin(release: Release) -> dict[str, Any]:
     """Return page, creator and date, as far as the publisher stated them."""
     fields: dict[str, Any] = {}
     if release.url is not None:

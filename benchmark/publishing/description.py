@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 from typing import Final
 
+from benchmark.publishing.columns import Column
 from benchmark.publishing.index import Provenance, Published, PublishedScene
 from benchmark.publishing.licenses import require_license
 from objconnect.scene.errors import InputError
@@ -113,6 +114,25 @@ class Description:
     biases: tuple[str, ...]
     uses: tuple[str, ...]
     personal: str
+
+
+@dataclass(frozen=True)
+class Publication:
+    """The facts that the card and the metadata of a published folder state.
+
+    Attributes:
+        name: name of the data set.
+        release: the publisher's statements.
+        published: the scenes.
+        description: what the data set shows, and how it was made.
+        columns: columns of the shards by name.
+    """
+
+    name: str
+    release: Release
+    published: Published
+    description: Description
+    columns: Mapping[str, Column]
 
 
 def describe(published: Published, total_bytes: int) -> Description:

@@ -104,6 +104,11 @@ class Published(Record):
     scenes: tuple[PublishedScene, ...] = Field(min_length=1)
     sealed: bool = False
 
+    @property
+    def files(self) -> dict[str, str]:
+        """Return the SHA-256 of each file of the scenes by its path in the folder."""
+        return {path: sha256 for scene in self.scenes for path, sha256 in scene.files.items()}
+
 
 def read_index(folder: Path) -> Published:
     """Read ``published.json``.

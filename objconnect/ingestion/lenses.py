@@ -11,7 +11,7 @@ from objconnect.ingestion.photographs import FlightImage
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.maps.photographs import Photograph
-from objconnect.scene.storage.images import read_exif
+from objconnect.scene.storage.exif import read_exif
 
 # Focal lengths of one lens, as EXIF rounds them, differ by less than this share.
 _SAME_FOCAL: Final = 0.005

@@ -17,8 +17,9 @@ from objconnect.scene.quantities.focal import FILM_LENGTH
 from objconnect.scene.runtime.escaping import for_terminal
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.digests import sha256_of
+from objconnect.scene.storage.exif import Exif, read_exif, resize_file
 from objconnect.scene.storage.files import require_folder
-from objconnect.scene.storage.images import Exif, image_size, read_exif, read_rgb, resize_file
+from objconnect.scene.storage.images import image_size, read_rgb
 from objconnect.scene.storage.listing import list_files
 
 log = logging.getLogger(__name__)

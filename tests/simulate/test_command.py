@@ -18,7 +18,8 @@ from objconnect.scene.bundle.frames import LAYERS, Frames
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.geodesy import geodetic_from_enu
-from objconnect.scene.storage.images import read_exif, read_rgb
+from objconnect.scene.storage.exif import read_exif
+from objconnect.scene.storage.images import read_rgb
 from objconnect.scene.storage.locks import write_lock
 from simulate.command import _frames, draw_drift, find_finished, simulate
 from simulate.config import SimulateConfig

@@ -31,7 +31,7 @@ from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.atomic import atomic_folder
 from objconnect.scene.storage.digests import sha256_of
-from objconnect.scene.storage.images import Exif, write_jpeg
+from objconnect.scene.storage.exif import Exif, write_jpeg
 from objconnect.scene.storage.outputs import check_output_folder, require_empty
 
 Array = NDArray[np.float64]

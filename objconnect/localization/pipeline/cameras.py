@@ -15,7 +15,7 @@ from objconnect.scene.geometry.camera import MODELS, Camera
 from objconnect.scene.localizer import Estimate, Query, Status
 from objconnect.scene.quantities.film_lens import SAME_LENS
 from objconnect.scene.quantities.focal import SAME_ASPECT
-from objconnect.scene.storage.images import Exif
+from objconnect.scene.storage.exif import Exif
 
 # Focal ratios f / max(w, h) to try if the focal length is unknown: 90 to 37 degrees of view.
 _FOCAL_RATIOS: Final = (0.5, 0.6, 0.72, 0.86, 1.04, 1.24, 1.5)

@@ -19,7 +19,7 @@ from objconnect.scene.geometry.camera import MODELS, Camera
 from objconnect.scene.quantities.coordinate_order import Pair
 from objconnect.scene.quantities.film_lens import SAME_LENS
 from objconnect.scene.runtime.escaping import for_terminal
-from objconnect.scene.storage.images import Exif
+from objconnect.scene.storage.exif import Exif
 from objconnect.scene.storage.video import Video, VideoFrame, read_video
 
 log = logging.getLogger(__name__)

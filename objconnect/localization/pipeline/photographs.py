@@ -29,7 +29,8 @@ from objconnect.scene.localizer import Estimate, Prior, Query
 from objconnect.scene.quantities.coordinate_order import REACH_M
 from objconnect.scene.quantities.doubts import summarize_doubts
 from objconnect.scene.runtime.progress import progress_bar
-from objconnect.scene.storage.images import Exif, image_size, read_exif, read_rgb
+from objconnect.scene.storage.exif import Exif, read_exif
+from objconnect.scene.storage.images import image_size, read_rgb
 
 log = logging.getLogger(__name__)
 

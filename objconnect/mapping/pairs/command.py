@@ -36,7 +36,7 @@ from objconnect.scene.geo.rasters import Raster
 from objconnect.scene.geometry.geodesy import Geodetic
 from objconnect.scene.storage.atomic import atomic_folder, write_text
 from objconnect.scene.storage.digests import sha256_of
-from objconnect.scene.storage.images import Exif, write_jpeg
+from objconnect.scene.storage.exif import Exif, write_jpeg
 from objconnect.scene.storage.outputs import check_output_folder, require_empty
 from objconnect.scene.storage.records import Record
 from objconnect.scene.storage.scratch import scratch

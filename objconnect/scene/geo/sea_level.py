@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from objconnect.scene.geo.crs import geoid_undulation
-from objconnect.scene.storage.images import Exif
+from objconnect.scene.storage.exif import Exif
 
 
 def above_ellipsoid(exif: Exif, undulation_m: float | None = None) -> Exif:

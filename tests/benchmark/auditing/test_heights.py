@@ -12,7 +12,7 @@ from benchmark.auditing.command import audit
 from benchmark.auditing.findings import Finding, Verdict
 from benchmark.auditing.positions import EAST_NORTH, HEIGHTS
 from objconnect.scene.geometry.geodesy import Geodetic
-from objconnect.scene.storage.images import Exif, write_jpeg
+from objconnect.scene.storage.exif import Exif, write_jpeg
 
 COUNT = 6
 

@@ -9,7 +9,7 @@ import pytest
 from objconnect.ingestion.command import ingest
 from objconnect.ingestion.report import REPORT, IngestReport
 from objconnect.scene.bundle.scene import Scene
-from objconnect.scene.storage.images import resize_file
+from objconnect.scene.storage.exif import resize_file
 from tests.shared import make_once
 
 SIDE = 500

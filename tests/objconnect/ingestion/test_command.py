@@ -18,7 +18,7 @@ import objconnect.ingestion.photographs
 import objconnect.ingestion.plan
 import objconnect.ingestion.rotated_photographs
 import objconnect.scene.bundle.manifest
-import objconnect.scene.storage.images
+import objconnect.scene.storage.exif
 from benchmark.cli import app
 from benchmark.datasets.flight import TRACK
 from benchmark.datasets.open import open_datasets
@@ -322,7 +322,7 @@ def test_killed_while_pictures_are_turned_back(
         turned += rotate_180
         if turned == 2:
             raise KeyboardInterrupt
-        objconnect.scene.storage.images.resize_file(source, target, longest, rotate_180=rotate_180)
+        objconnect.scene.storage.exif.resize_file(source, target, longest, rotate_180=rotate_180)
 
     for module, patched in (
         (objconnect.ingestion.rotated_photographs, write_json),
@@ -338,7 +338,7 @@ def test_killed_while_pictures_are_turned_back(
     assert report.turned == tuple(over)
     # A picture turned twice or not at all would contradict its gimbal, or not be registered.
     assert (report.registered, report.wrong_attitudes) == (10, {})
-    objconnect.scene.storage.images.resize_file(
+    objconnect.scene.storage.exif.resize_file(
         folder / over[1], tmp_path / "turned.jpg", 1600, rotate_180=True
     )
     assert (pictures / over[1]).read_bytes() == (tmp_path / "turned.jpg").read_bytes()

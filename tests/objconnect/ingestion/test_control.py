@@ -36,7 +36,7 @@ from objconnect.scene.geometry.pose import so3_exp
 from objconnect.scene.maps.colmap_files import read_model
 from objconnect.scene.maps.photographs import Photograph, PosedImage
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
-from objconnect.scene.storage.images import Exif
+from objconnect.scene.storage.exif import Exif
 
 Array = NDArray[np.float64]
 ORIGIN = Geodetic(47.0, 8.0, 400.0)

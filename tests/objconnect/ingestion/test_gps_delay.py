@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from objconnect.ingestion.gps_delay import estimate_motions, find_delay, undo_delay
 from objconnect.scene.flights.textfiles import read_gps, read_poses
 from objconnect.scene.maps.colmap_files import read_model
-from objconnect.scene.storage.images import read_exif
+from objconnect.scene.storage.exif import read_exif
 
 Array = NDArray[np.float64]
 Placed = dict[str, Array]

@@ -11,7 +11,7 @@ from objconnect.ingestion.positions import local_positions, replace_positions
 from objconnect.scene.errors import InputError
 from objconnect.scene.flights.textfiles import read_gps
 from objconnect.scene.geometry.geodesy import Geodetic
-from objconnect.scene.storage.images import Exif
+from objconnect.scene.storage.exif import Exif
 
 
 @pytest.fixture(scope="module")

@@ -64,7 +64,8 @@ from objconnect.scene.imports.formats import read_foreign
 from objconnect.scene.maps.colmap_files import read_model
 from objconnect.scene.maps.depth_files import read_array, write_array
 from objconnect.scene.maps.features import Features, read_features, write_features
-from objconnect.scene.storage.images import Exif, read_rgb
+from objconnect.scene.storage.exif import Exif
+from objconnect.scene.storage.images import read_rgb
 from objconnect.scene.storage.subtitles import Subtitle, compose_subtitles
 from objconnect.scene.storage.video import decode_frames, write_video
 from simulate.camera.lens import CameraConfig

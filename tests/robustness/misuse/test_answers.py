@@ -40,7 +40,7 @@ from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import By, Estimate, Prior, Query, Status
 from objconnect.scene.maps.colmap_files import read_model
 from objconnect.scene.maps.sparse_map import SparseMap
-from objconnect.scene.storage.images import Exif, write_jpeg
+from objconnect.scene.storage.exif import Exif, write_jpeg
 from objconnect.scene.storage.names import (
     quote_cell,
     quote_name,

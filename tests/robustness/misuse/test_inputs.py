@@ -56,8 +56,9 @@ from objconnect.scene.maps.features import Features, read_features, write_featur
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.atomic import TEMPORARY_PREFIX
 from objconnect.scene.storage.digests import sha256_of
+from objconnect.scene.storage.exif import Exif, read_exif, resize_file, write_jpeg
 from objconnect.scene.storage.files import read_text
-from objconnect.scene.storage.images import Exif, read_exif, read_rgb, resize_file, write_jpeg
+from objconnect.scene.storage.images import read_rgb
 from simulate.config import SimulateConfig
 from tests.benchmark.made_data import MAP_NAMES, pose_at, write_flight, write_model
 from tests.objconnect.scene.storage.test_full_disk import GATE, disk  # noqa: F401
@@ -405,7 +406,7 @@ def test_large_and_damaged_photographs_print_no_warning(tmp_path: Path) -> None:
     """A warning of Pillow's is two lines on standard error, where the command line tunes it."""
     make(tmp_path / "a.jpg", "large")
     code = "import os, pathlib, objconnect as oc\n"
-    code += "from objconnect.scene.storage.images import read_exif\n"
+    code += "from objconnect.scene.storage.exif import read_exif\n"
     code += "with oc.ProcessTuning(): read_exif(pathlib.Path(os.environ['PHOTOGRAPH']))"
     done = python(code, PHOTOGRAPH=str(tmp_path / "a.jpg"))
     assert (done.returncode, done.stderr) == (0, "")

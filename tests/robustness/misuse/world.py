@@ -34,8 +34,8 @@ from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu
 from objconnect.scene.maps.features import Features, write_features
 from objconnect.scene.storage.digests import sha256_of
-from objconnect.scene.storage.images import Exif
-from objconnect.scene.storage.images import write_jpeg as write_photograph
+from objconnect.scene.storage.exif import Exif
+from objconnect.scene.storage.exif import write_jpeg as write_photograph
 from tests.benchmark.made_data import (
     CAMERA,
     MAP_NAMES,

@@ -24,7 +24,7 @@ from objconnect.scene.colmap.absolute_pose import estimate_absolute_pose
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu
 from objconnect.scene.localizer import Estimate, Query, Status
-from objconnect.scene.storage.images import Exif
+from objconnect.scene.storage.exif import Exif
 from objconnect.scene.storage.xmp import DroneXmp
 from tests.benchmark.made_data import CAMERA, FakeLocalizer, pose_at
 from tests.objconnect.scene.storage.test_xmp import FIELDS, packet

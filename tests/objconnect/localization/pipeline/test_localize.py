@@ -19,7 +19,7 @@ from objconnect.scene.flights.textfiles import read_poses
 from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic, geodetic_from_enu
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import By, Estimate, Query, Status
-from objconnect.scene.storage.images import Exif, write_jpeg
+from objconnect.scene.storage.exif import Exif, write_jpeg
 from tests.benchmark.made_data import CAMERA, QUERY_NAMES, FakeLocalizer, pose_at
 
 ORIGIN = Geodetic(47.0, 8.0, 450.0)

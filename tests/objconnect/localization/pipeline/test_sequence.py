@@ -24,7 +24,8 @@ from objconnect.scene.flights.textfiles import read_poses
 from objconnect.scene.geometry.geodesy import geodetic_from_enu
 from objconnect.scene.geometry.gimbal import gimbal_pose
 from objconnect.scene.localizer import Estimate, Status
-from objconnect.scene.storage.images import Exif, read_rgb, write_jpeg
+from objconnect.scene.storage.exif import Exif, write_jpeg
+from objconnect.scene.storage.images import read_rgb
 from objconnect.scene.storage.video import write_video
 from tests.benchmark.made_data import CAMERA, FakeLocalizer, pose_at, write_scene
 

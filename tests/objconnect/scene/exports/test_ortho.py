@@ -24,7 +24,8 @@ from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic
 from objconnect.scene.maps.depth_files import write_array
 from objconnect.scene.maps.photographs import PosedImage
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
-from objconnect.scene.storage.images import Exif, read_rgb, write_jpeg
+from objconnect.scene.storage.exif import Exif, write_jpeg
+from objconnect.scene.storage.images import read_rgb
 from tests.objconnect.scene.geo.made_site import (
     HOUSE,
     ORIGIN,

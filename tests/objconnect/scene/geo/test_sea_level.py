@@ -8,7 +8,7 @@ import pytest
 
 from objconnect.scene.geo import sea_level
 from objconnect.scene.geo.sea_level import above_ellipsoid
-from objconnect.scene.storage.images import read_exif
+from objconnect.scene.storage.exif import read_exif
 from tests.objconnect.scene.quantities import raw_exif as raw
 
 

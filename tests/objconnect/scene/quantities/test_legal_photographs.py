@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from objconnect.scene.storage.images import Exif, read_exif
+from objconnect.scene.storage.exif import Exif, read_exif
 from tests.objconnect.scene.quantities import raw_exif as raw
 from tests.objconnect.scene.quantities.raw_exif import Field
 

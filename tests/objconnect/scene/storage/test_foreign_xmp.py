@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from objconnect.scene.storage.images import read_exif
+from objconnect.scene.storage.exif import read_exif
 from objconnect.scene.storage.xmp import parse_xmp
 from tests.objconnect.scene.quantities import raw_exif as raw
 

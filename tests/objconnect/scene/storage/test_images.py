@@ -13,7 +13,8 @@ from PIL.TiffImagePlugin import IFDRational
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.geodesy import Geodetic
-from objconnect.scene.storage.images import Exif, read_exif, read_rgb, resize_file, write_jpeg
+from objconnect.scene.storage.exif import Exif, read_exif, resize_file, write_jpeg
+from objconnect.scene.storage.images import read_rgb
 
 TIME = datetime(2026, 1, 15, 16, 30, 5, tzinfo=UTC)
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from PIL import ExifTags, Image
 
 from objconnect.scene.geometry.camera import Camera
-from objconnect.scene.storage.images import read_exif
+from objconnect.scene.storage.exif import read_exif
 from objconnect.scene.storage.xmp import DroneXmp, parse_xmp
 
 # As a Phantom 4 RTK writes them, with angles of our own.
