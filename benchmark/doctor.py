@@ -76,10 +76,10 @@ class Check:
 
     Attributes:
         name: name of the part.
-        state: "ok", "absent" for a part that only some commands need, or "missing" for a part that
-            must be installed.
+        state: "ok", "absent" for a part that only some commands need, or "missing" for a
+            requirement that is not met: a package or its version, a file, or free disk space.
         found: what is installed, or what is wrong with it.
-        fix: command that repairs it; empty if there is none.
+        fix: command or advice that repairs it; empty if there is none.
     """
 
     name: str
@@ -96,7 +96,7 @@ class Diagnosis:
 
     @property
     def ok(self) -> bool:
-        """Whether nothing required is missing."""
+        """Whether all requirements are met."""
         return all(check.state != "missing" for check in self.checks)
 
     def as_dict(self) -> dict[str, Any]:
@@ -104,15 +104,15 @@ class Diagnosis:
         return {"ok": self.ok, "checks": [asdict(check) for check in self.checks]}
 
     def text(self) -> str:
-        """Return one line for each check, and one for each command that repairs something."""
+        """Return one line for each check and for each repair, and the result in the last line."""
         lines = []
         width = max(len(check.name) for check in self.checks)
         for check in self.checks:
             lines.append(f"{check.state:<8}{check.name:<{width}}  {check.found}")
             if check.fix:
                 lines.append(f"{'':8}{'':<{width}}  fix: {check.fix}")
-        missing = sum(check.state == "missing" for check in self.checks)
-        end = "no required part is missing" if self.ok else f"{missing} required parts missing"
+        unmet = sum(check.state == "missing" for check in self.checks)
+        end = f"requirements not met: {unmet}" if unmet else "all requirements are met"
         return "\n".join([*lines, end])
 
 
@@ -292,7 +292,7 @@ def _device(torch: _Loaded) -> Check:
         return Check("GPU", "ok", ", ".join(names))
     if Path("/dev/nvidiactl").exists() and not torch.error:
         fix = "install the CUDA build of torch, see https://pytorch.org/get-started/locally"
-        return Check("GPU", "absent", "there is one, but this build of torch cannot use it", fix)
+        return Check("GPU", "absent", "an NVIDIA GPU that this build of torch cannot use", fix)
     return Check("GPU", "absent", "none: networks run on the processor")
 
 
@@ -315,7 +315,7 @@ def _package(requirement: _Requirement, loaded: _Loaded) -> Check:
 
 
 def _rendering(installed: bool) -> Iterator[Check]:
-    """Check the requirements of rendering; without bpy none of them counts as missing."""
+    """Check the requirements of rendering; if bpy is not installed, none is "missing"."""
     packages = missing_packages()
     if not installed:
         fix = f"{sys.executable} -m pip install 'objconnect[simulate]'"
@@ -326,11 +326,11 @@ def _rendering(installed: bool) -> Iterator[Check]:
         state: State = "missing" if installed else "absent"
         yield Check("Blender's libraries", state, f"without {', '.join(packages)}", _apt(packages))
     else:
-        yield Check("Blender's libraries", "ok", "all there")
+        yield Check("Blender's libraries", "ok", "all installed")
 
 
 def _optional(present: set[str]) -> Iterator[Check]:
-    """Check the extras other than rendering, which never count as missing."""
+    """Check the extras other than rendering; they are never "missing"."""
     for extra, (package, ability) in _EXTRAS.items():
         if extra not in {"simulate", *present}:
             fix = f"{sys.executable} -m pip install 'objconnect[{extra}]'"
@@ -338,7 +338,7 @@ def _optional(present: set[str]) -> Iterator[Check]:
 
 
 def _testing(requirements: list[_Requirement]) -> Iterator[Check]:
-    """Check the packages of developers, which never count as missing."""
+    """Check the packages of developers; they are never "missing"."""
     missing = [
         requirement
         for requirement in requirements
@@ -348,7 +348,7 @@ def _testing(requirements: list[_Requirement]) -> Iterator[Check]:
         fix = f"{sys.executable} -m pip install {' '.join(repr(str(r)) for r in missing)}"
         yield Check("tests", "absent", f"without {', '.join(r.package for r in missing)}", fix)
     else:
-        yield Check("tests", "ok", "all packages there")
+        yield Check("tests", "ok", "all packages are installed")
     browser = next((path for name in _BROWSERS if (path := shutil.which(name))), None)
     if browser is None:
         effect = "none: the leaderboard's page cannot be tested"
@@ -362,7 +362,7 @@ def _apt(packages: list[str]) -> str:
 
 
 def _weights(folders: Sequence[Path]) -> Iterator[Check]:
-    """Check that the weights beside every card that names such a file are complete."""
+    """Check that NAME.safetensors beside each card NAME.md that mentions it is complete."""
     found = sorted(card for folder in folders for card in folder.rglob("*.md"))
     cards = [card for card in found if f"{card.stem}.safetensors" in card.read_text("utf-8")]
     fix = f"install objconnect again, or git checkout {' '.join(_WITH_WEIGHTS)}"
@@ -372,7 +372,7 @@ def _weights(folders: Sequence[Path]) -> Iterator[Check]:
     for card in cards:
         damage = _damage(card.with_suffix(".safetensors"))
         name = f"weights {card.stem}"
-        yield Check(name, "missing", damage, fix) if damage else Check(name, "ok", "whole")
+        yield Check(name, "missing", damage, fix) if damage else Check(name, "ok", "complete")
 
 
 def _damage(path: Path) -> str:

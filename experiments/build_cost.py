@@ -53,7 +53,7 @@ def measure_place(place: str) -> None:
     camera = PinholeCamera(width=64, height=64, f=55, cx=32, cy=32)
     job = RenderJob(
         seed=int(seed),
-        area_m=float(area),
+        side_m=float(area),
         condition="summer-noon",
         camera=camera,
         samples=1,

@@ -83,7 +83,7 @@ def gallery(config: SimulateConfig, out: Path, shown_in: str = "summer-noon") ->
     _refuse_foreign_files(out)
     config = config.model_copy(update={"position_jitter_m": 0.0, "attitude_jitter_deg": 0.0})
     configs = {
-        name: config.model_copy(update={"preset": name, "area": max(config.area, plan.least_m)})
+        name: config.model_copy(update={"preset": name, "area": max(config.area, plan.min_side_m)})
         for name, plan in PRESETS.items()
     }
     places = {name: preset(name)(config.seed, each.area) for name, each in configs.items()}

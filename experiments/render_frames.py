@@ -43,7 +43,7 @@ def main(job_path: str, out: str) -> None:
     """Answer each line of standard input."""
     answers = _claim_stdout()
     job = RenderJob.model_validate_json(Path(job_path).read_text())
-    world = preset(job.preset)(job.seed, job.area_m)
+    world = preset(job.preset)(job.seed, job.side_m)
     light = condition(job.condition)
     _build_scene(world, light)
     _set_up_render(job, 0)

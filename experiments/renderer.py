@@ -36,7 +36,7 @@ def nadir_job(config: SimulateConfig, frames: int) -> RenderJob:
     return RenderJob(
         preset=config.preset,
         seed=config.seed,
-        area_m=config.area,
+        side_m=config.area,
         condition=config.sessions[0].condition,
         camera=pinhole,
         samples=config.spp,

@@ -63,8 +63,8 @@ def main() -> None:
     first = Scene.open(args.first)
     if args.what == "classes":
         site = SiteConfig(scene=args.first)
-        area_m = first.manifest.config["area"]
-        world, _ = build_site(site, area_m, first.manifest.origin, 0, Path(tempfile.gettempdir()))
+        side_m = first.manifest.config["area"]
+        world, _ = build_site(site, side_m, first.manifest.origin, 0, Path(tempfile.gettempdir()))
         compare_classes(first, world)
         return
     if args.what == "flown":
@@ -150,7 +150,7 @@ def compare_classes(real: Scene, world: World) -> None:
                 )
                 pose = frames.cam_from_world[k]
                 points = (rays * depth[..., None] - pose[:3, 3]) @ pose[:3, :3]
-                within = (np.abs(points[..., :2]) < 0.5 * world.area_m).all(-1)
+                within = (np.abs(points[..., :2]) < 0.5 * world.side_m).all(-1)
                 up = within & (depth > 0) & (normal[..., 2] > _FACES_UP)
                 found = world.ground.label(points[up][:, 0], points[up][:, 1])
                 np.add.at(count, (label[up], found), 1)

@@ -286,7 +286,7 @@ def _render_views(
     pinhole, lens = split_lens(camera)
     job = RenderJob(
         seed=seed,
-        area_m=1.0,
+        side_m=1.0,
         condition="summer-noon",
         camera=pinhole,
         lens=lens,

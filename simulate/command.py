@@ -230,7 +230,7 @@ def render_job(
     return RenderJob(
         preset=config.preset,
         seed=config.seed,
-        area_m=config.area,
+        side_m=config.area,
         condition=session.condition,
         origin=config.origin,
         change=session.world_change,

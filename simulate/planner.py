@@ -92,7 +92,7 @@ def plan_session(
     flight = session.flight
     defaults = config.map_plan if session.role == "map" else config.query_plan
     context = FlightContext(
-        area_m=config.area,
+        side_m=config.area,
         ground_height=world.flight_ground.height,
         camera=camera,
         defaults=draw_plan(defaults, rng) if config.courses == "own" else defaults,
@@ -132,7 +132,7 @@ def _plan_mission(
     aims: Aims = read_plan(
         flight.file,
         context.origin,
-        context.area_m,
+        context.side_m,
         context.ground_height,
         flight.pitch_deg,
         flight.undulation_m,

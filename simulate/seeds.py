@@ -1,10 +1,11 @@
 """Random generators of the sessions of a scene.
 
-Whoever knows the poses of the map's photographs knows numbers that the generator of its session
-drew. Seeds of at most 31 bits can be found from them by trying all, and the state of the generator
-(PCG64) can be computed from them (Bouillaguet et al., Practical seed-recovery for the PCG
-pseudo-random number generator, ToSC 2020). The longer seeds of sealed places therefore reach a
-generator through SHA-256, so that one session tells nothing about another.
+The published poses of a map reveal random numbers that were drawn for the map's session. From such
+numbers, a seed of at most 31 bits can be found by trying all seeds, and the state of the generator
+(PCG64) can be computed (Bouillaguet et al., Practical seed-recovery for the PCG pseudo-random
+number generator, ToSC 2020). Sealed places therefore have longer seeds, and each session's
+generator is seeded with a SHA-256 digest of the seed, so that one session reveals nothing about
+another.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from objconnect.scene.config import MAX_NUMBER
 MAX_SEED: Final = 2**128 - 1
 """Largest seed of a scene. Seeds above ``MAX_NUMBER`` are for sealed places."""
 
-# Third number of the seeds of changes. Seeds of courses have no third number or a byte (below 256).
+# Third number of the seeds of changes. In the seeds of courses the third number is absent, or is a
+# byte of the preset's name (below 256).
 _CHANGE: Final = 1 << 16
 
 
@@ -35,7 +37,10 @@ def course_generator(seed: int, index: int, preset: str) -> np.random.Generator:
 
 
 def change_generator(seed: int, index: int, preset: str) -> np.random.Generator:
-    """Return the generator that decides whether the change of a session happens."""
+    """Return the generator that decides whether the objects of a session are changed.
+
+    They are changed (``SessionConfig.change``) with probability ``change_share``.
+    """
     return _generator(seed, index, _CHANGE, *preset.encode())
 
 

@@ -127,7 +127,8 @@ class KorniaExtractor(Extractor):
         """Return keypoints of an image (1, 3, H, W) from 0 to 1.
 
         Returns:
-            Pixels (N, 2) that count from the first one's centre, scores (N,), descriptors (N, D).
+            Pixel coordinates (N, 2), where the centre of the top-left pixel is (0, 0), scores (N,)
+            and descriptors (N, D).
         """
 
 

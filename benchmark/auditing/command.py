@@ -32,7 +32,7 @@ from benchmark.auditing.photograph_order import find_order
 from benchmark.auditing.positions import FOLLOW, check_positions
 from benchmark.auditing.statements import StatedData, centres, sample
 from objconnect.scene.geometry.camera import Camera
-from objconnect.scene.imports.poses import Frame
+from objconnect.scene.imports.poses import CoordinateFrame
 from objconnect.scene.quantities.doubts import summarize_doubts
 
 Array = NDArray[np.float64]
@@ -48,7 +48,7 @@ def audit(
     images: Path | None = None,
     camera: Camera | None = None,
     out: Path | None = None,
-    frame: Frame | None = None,
+    frame: CoordinateFrame | None = None,
 ) -> list[Audit]:
     """Audit a data set, or each data set of a folder that holds several.
 

@@ -20,7 +20,7 @@ from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.geodesy import Geodetic
 from objconnect.scene.imports.formats import FRAMELESS_FILES, read_foreign
 from objconnect.scene.imports.names import match_files
-from objconnect.scene.imports.poses import ForeignPoses, Frame
+from objconnect.scene.imports.poses import CoordinateFrame, ForeignPoses
 from objconnect.scene.imports.unsupported import refuse_unsupported
 from objconnect.scene.maps.colmap_files import read_model
 from objconnect.scene.storage.exif import read_exif
@@ -50,7 +50,7 @@ def open_data(
     path: Path,
     images: Path | None = None,
     camera: Camera | None = None,
-    frame: Frame | None = None,
+    frame: CoordinateFrame | None = None,
 ) -> list[StatedData]:
     """Read what a data set states; a path may hold several data sets.
 
@@ -162,7 +162,7 @@ def _find_pose_file(path: Path) -> Path:
 
 
 def _read_poses(
-    path: Path, images: Path | None, camera: Camera | None, frame: Frame | None
+    path: Path, images: Path | None, camera: Camera | None, frame: CoordinateFrame | None
 ) -> StatedData:
     """Return the poses of another program, or the positions of a table without poses."""
     refuse_unsupported(path)
@@ -307,9 +307,9 @@ def _match_by_time(files: Sequence[Path], names: Sequence[str]) -> dict[str, Pat
     times = np.array([float(name) for name in in_order])
     tolerance = float(np.median(np.diff(times))) / 2 if len(times) > 1 else 0.5
     found = {}
-    for file, taken in _read_times(files):
-        row = int(np.abs(times - taken).argmin())
-        if abs(times[row] - taken) < tolerance:
+    for file, time in _read_times(files):
+        row = int(np.abs(times - time).argmin())
+        if abs(times[row] - time) < tolerance:
             found[in_order[row]] = file
     return found
 

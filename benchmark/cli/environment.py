@@ -16,7 +16,7 @@ def doctor(as_json: Json = False) -> None:
     """Report what is installed, what is missing and how to install it.
 
     Use it after installing, or when a command says that something is missing. Exits with 2 if a
-    required part is missing. If this command itself cannot start, run python -m benchmark.doctor.
+    requirement is not met. If this command itself cannot start, run python -m benchmark.doctor.
     """
     from benchmark.doctor import doctor as run
 

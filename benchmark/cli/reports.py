@@ -65,8 +65,8 @@ def leaderboard(
     """Compare results in one table per data set and starting information.
 
     Prints Markdown. With --out, also writes it as LaTeX tables and as one HTML page that opens as a
-    file, with charts, paired comparisons, and every query with its pictures. The page shows the
-    albums and basins beside the results.
+    file, with charts, paired comparisons, and every query with its pictures. The page also shows
+    albums and basins whose files lie in the folders of the results.
 
     With --board, the queries of all places of a track are pooled by start, season and part of the
     track.

@@ -17,13 +17,13 @@ MARK = b"<title>ObjConnect forecast</title>"
 """Bytes near the beginning of every page, by which an earlier page is recognized and replaced."""
 
 
-def page(forecast: Forecast, ground: NDArray[np.uint8], area_m: float) -> str:
+def page(forecast: Forecast, ground: NDArray[np.uint8], side_m: float) -> str:
     """Return the page as HTML.
 
     Args:
         forecast: the report.
         ground: the site from above, (n, n, 3) sRGB, north up.
-        area_m: side of the site, metres.
+        side_m: side of the site, metres.
     """
     picture = base64.b64encode(as_jpeg(ground)).decode()
     data: dict[str, Any] = forecast.as_dict()
@@ -32,7 +32,7 @@ def page(forecast: Forecast, ground: NDArray[np.uint8], area_m: float) -> str:
         "causes": dict(CAUSES),
         "colours": list(COLOURS),
         "ground": f"data:image/jpeg;base64,{picture}",
-        "area_m": area_m,
+        "side_m": side_m,
         "few_points": FEW_POINTS,
         "pool_m": POOL_M,
     }

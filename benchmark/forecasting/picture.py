@@ -36,7 +36,7 @@ def ground_from_above(world: World) -> NDArray[np.uint8]:
     imagery = world.imagery
     assert imagery is not None
     pixels = len(imagery.albedo)
-    margin = round(pixels * world.margin_m / (world.area_m + 2 * world.margin_m))
+    margin = round(pixels * world.margin_m / (world.side_m + 2 * world.margin_m))
     inner = imagery.albedo[margin : pixels - margin, margin : pixels - margin][::-1]
     side = min(_MOST_PIXELS, len(inner))
     small = cv2.resize(np.ascontiguousarray(inner), (side, side), interpolation=cv2.INTER_AREA)
@@ -50,13 +50,13 @@ def as_jpeg(rgb: NDArray[np.uint8]) -> bytes:
     return stream.getvalue()
 
 
-def draw(forecast: Forecast, ground: NDArray[np.uint8], area_m: float, path: Path) -> None:
+def draw(forecast: Forecast, ground: NDArray[np.uint8], side_m: float, path: Path) -> None:
     """Draw one panel for each season.
 
     Args:
         forecast: the report.
         ground: the site from above, north up.
-        area_m: side of the site, metres.
+        side_m: side of the site, metres.
         path: path of the PNG file.
 
     Raises:
@@ -66,7 +66,7 @@ def draw(forecast: Forecast, ground: NDArray[np.uint8], area_m: float, path: Pat
     rows = -(-len(forecast.seasons) // columns)
     figure = Figure(figsize=(_SIDE * columns + 0.6, (_SIDE + 0.5) * rows), layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
-    half = 0.5 * area_m
+    half = 0.5 * side_m
     faded = np.asarray((1 - _FADED) * ground + _FADED * 255, np.uint8)
     for panel, season in zip(panels, forecast.seasons, strict=False):
         panel.imshow(faded, extent=(-half, half, -half, half))

@@ -19,7 +19,7 @@ from objconnect.scene.storage.atomic import write_text
 
 CARD: Final = "README.md"
 
-# The hub's classes of data set sizes: each has fewer rows than the number, and its name.
+# The hub's size classes: (upper bound of the number of rows, name of the class).
 _SIZES: Final = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"))
 _LARGEST: Final = "100K<n<1M"
 # Commands that use a folder, and a sealed one.

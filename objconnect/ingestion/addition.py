@@ -83,7 +83,7 @@ class _Source:
 
     Attributes:
         base: the scene that photographs are added to.
-        taken: the photographs with cameras, as structure from motion reads them.
+        photographs: the photographs with cameras, as structure from motion reads them.
         fixes: measured positions (3,) by name, metres in the scene's world.
         queries: names of the queries.
     """
@@ -92,7 +92,7 @@ class _Source:
     session: str
     folder: Path
     flight: Flight
-    taken: Sequence[Photograph]
+    photographs: Sequence[Photograph]
     fixes: Mapping[str, Array]
     queries: set[str]
     plan: Plan
@@ -149,10 +149,10 @@ def add_photographs(
     names = [image.name for image in flight.images]
     _, fixes = local_positions(flight.images, base.manifest.origin)
     queries = choose_queries(names, fixes, plan.split, plan.every)
-    taken = make_photographs(flight.images, plan.size, camera)
+    new_photographs = make_photographs(flight.images, plan.size, camera)
     if camera is None:
-        taken = apply_known_lenses(base, flight.images, taken)
-    source = _Source(base, session, photographs, flight, taken, fixes, queries, plan)
+        new_photographs = apply_known_lenses(base, flight.images, new_photographs)
+    source = _Source(base, session, photographs, flight, new_photographs, fixes, queries, plan)
     with write_lock(out):
         return make_scene(
             out,
@@ -211,7 +211,7 @@ def _build(out: Path, source: _Source) -> IngestReport:
     splits = _write_lists(out, source, model, [image.name for image in images])
     rotated_files = [image.file for image in images if image.name in rotated]
     report = make_report(
-        source.taken,
+        source.photographs,
         flight,
         adjusted,
         fixes,
@@ -274,10 +274,12 @@ def _register(out: Path, source: _Source, known: KnownMap) -> tuple[Flight, Spar
     rotated = read_rotated(out)
     copied = copy_photographs(source.flight, source.folder, root, source.plan.size, rotated)
     names = {image.name for image in copied.images}
-    taken = [photograph for photograph in source.taken if photograph.name in names]
-    _match(out, source, known, taken)
-    with progress_bar("register", len(taken)) as advance, atomic_folder(models) as folder:
-        model = register_photographs(root, known, taken, out / WORK / DATABASE, folder, advance)
+    photographs = [photograph for photograph in source.photographs if photograph.name in names]
+    _match(out, source, known, photographs)
+    with progress_bar("register", len(photographs)) as advance, atomic_folder(models) as folder:
+        model = register_photographs(
+            root, known, photographs, out / WORK / DATABASE, folder, advance
+        )
     registered = model.images.keys()
     lost = [image.file for image in copied.images if image.name not in registered]
     flight = copied.without(dict.fromkeys(lost, "not registered: too few matches"))
@@ -305,14 +307,14 @@ def _register(out: Path, source: _Source, known: KnownMap) -> tuple[Flight, Spar
     return flight, replace(model, images=images), rotated
 
 
-def _match(out: Path, source: _Source, known: KnownMap, taken: Sequence[Photograph]) -> None:
+def _match(out: Path, source: _Source, known: KnownMap, photographs: Sequence[Photograph]) -> None:
     """Match the new photographs with each other, and with map photographs near or similar."""
     options, root, database = source.plan.options, out / "sessions", out / WORK / DATABASE
-    new, old = [p.name for p in taken], [image.name for image in known.images]
+    new, old = [p.name for p in photographs], [image.name for image in known.images]
     centres = {n: known.sparse_map.images[n].centre for n in old}
     job = MatchingJob(root, (), SiftOptions())
     with progress_bar("extract", len(old) + len(new)) as advance:
-        match_new(known, taken, job, database, advance)
+        match_new(known, photographs, job, database, advance)
     with_gps = [name for name in new if name in source.fixes]
     near = choose_pairs([*old, *with_gps], {**centres, **source.fixes}, options)
     pairs = {pair for pair in near if pair[1] in source.fixes}
@@ -323,7 +325,7 @@ def _match(out: Path, source: _Source, known: KnownMap, taken: Sequence[Photogra
         pairs |= set(choose_similar(without_gps, old, features, options))
     job = replace(job, pairs=sorted(pairs))
     with progress_bar("match", len(old) + len(new) + len(pairs)) as advance:
-        match_new(known, taken, job, database, advance)
+        match_new(known, photographs, job, database, advance)
 
 
 def _select_images(model: SparseMap, images: Sequence[FlightImage]) -> SparseMap:

@@ -66,7 +66,7 @@ class AdjustedModel:
 
 def adjust(
     model_path: Path,
-    taken: Sequence[Photograph],
+    photographs: Sequence[Photograph],
     fixes: Mapping[str, Array],
     times: Mapping[str, float],
     work: Path,
@@ -75,7 +75,7 @@ def adjust(
 
     Args:
         model_path: Folder of the model.
-        taken: Photographs in the order they were taken; some may not be in the model.
+        photographs: Photographs in the order they were taken; some may not be in the model.
         fixes: Measured positions (3,) by name, world metres.
         times: Time stamps in seconds, by name.
         work: Folder for the adjusted model.
@@ -84,7 +84,7 @@ def adjust(
         InputError: As ``georegister``.
     """
     raw = read_model(model_path)
-    order = [photograph.name for photograph in taken if photograph.name in raw.images]
+    order = [photograph.name for photograph in photographs if photograph.name in raw.images]
     placed, delay, used = _place(raw, order, fixes, times)
     positions = {n: used[n] for n in raw.names if n in used and n not in placed.blunders}
     sigma = np.minimum(placed.sigma, NO_ALTITUDE_SIGMA_M)
@@ -96,7 +96,7 @@ def adjust(
             height = placed.apply(raw.images[name].centre[None])[0, 2]
             positions[name] = np.array([*positions[name][:2], height])
     has_relief = _relief(raw) > _MIN_RELIEF
-    focal = {p.lens for p in taken if not p.calibrated and (has_relief or not p.focal_known)}
+    focal = {p.lens for p in photographs if not p.calibrated and (has_relief or not p.focal_known)}
 
     def solve(principal_point: bool) -> AdjustedModel:
         out = work / ("adjusted-principal" if principal_point else "adjusted")
@@ -104,7 +104,7 @@ def adjust(
         with atomic_folder(out) as folder:
             model = adjust_to_positions(
                 model_path,
-                taken,
+                photographs,
                 placed.world_from_model,
                 MeasuredPositions(
                     positions, sigma, dict.fromkeys(without_altitude, NO_ALTITUDE_SIGMA_M)
@@ -115,7 +115,7 @@ def adjust(
         return AdjustedModel(model, placed, refined, delay, {} if used is fixes else used, out)
 
     best = solve(principal_point=False)
-    if _common_direction(raw, taken) < _MAX_COMMON_DIRECTION:
+    if _common_direction(raw, photographs) < _MAX_COMMON_DIRECTION:
         refined = solve(principal_point=True)
         limit = (1 - _MIN_GAIN) * best.model.reprojection_error()
         if refined.model.reprojection_error() < limit:
@@ -188,7 +188,7 @@ def _relief(model: SparseMap) -> float:
     return float(np.median(spread))
 
 
-def _common_direction(model: SparseMap, taken: Sequence[Photograph]) -> float:
+def _common_direction(model: SparseMap, photographs: Sequence[Photograph]) -> float:
     """Return how closely the headings of an uncalibrated lens's cameras agree, 0 to 1.
 
     It is the length of the mean of the cameras' unit vectors to the right, and the largest over the
@@ -196,7 +196,7 @@ def _common_direction(model: SparseMap, taken: Sequence[Photograph]) -> float:
     infinite.
     """
     right: dict[str, list[Array]] = {}
-    for photograph in taken:
+    for photograph in photographs:
         if photograph.name in model.images and not photograph.calibrated:
             axis = model.images[photograph.name].cam_from_world[0, :3]
             right.setdefault(photograph.lens, []).append(axis)

@@ -53,7 +53,7 @@ from objconnect.scene.colmap.structure_from_motion import Mapper, map_photograph
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.geodesy import Geodetic
-from objconnect.scene.imports.poses import Frame
+from objconnect.scene.imports.poses import CoordinateFrame
 from objconnect.scene.maps.colmap_files import read_model
 from objconnect.scene.maps.photographs import Photograph
 from objconnect.scene.runtime.escaping import for_terminal
@@ -70,7 +70,7 @@ class _Source:
     """The inputs of a run.
 
     Attributes:
-        taken: the photographs with their cameras, the input of structure from motion.
+        photographs: the photographs with their cameras, the input of structure from motion.
         origin: geodetic coordinates of the world's origin.
         fixes: measured positions (3,) by name, world metres.
         queries: names of the queries.
@@ -80,7 +80,7 @@ class _Source:
 
     folder: Path
     flight: Flight
-    taken: Sequence[Photograph]
+    photographs: Sequence[Photograph]
     origin: Geodetic
     fixes: Mapping[str, NDArray[np.float64]]
     queries: set[str]
@@ -96,7 +96,7 @@ def ingest(
     *,
     gps: Path | None = None,
     poses: Path | None = None,
-    poses_frame: Frame | None = None,
+    poses_frame: CoordinateFrame | None = None,
     gcp: Path | None = None,
     checks: Sequence[str] = (),
     add: Path | None = None,
@@ -179,7 +179,7 @@ def ingest(
 
 
 def _gather_source(
-    photographs: Path,
+    folder: Path,
     flight: Flight,
     camera: Camera | None,
     imported: ImportedPoses | None,
@@ -192,11 +192,11 @@ def _gather_source(
     course = fixes if imported is None or imported.origin is None else imported.centres
     queries = choose_queries(names, course, plan.split, plan.every)
     if imported is None:
-        taken = make_photographs(flight.images, plan.size, camera)
+        photographs = make_photographs(flight.images, plan.size, camera)
     else:
-        taken = imported.photographs()
+        photographs = imported.photographs()
         control = [replace(point, check=True) for point in control]
-    return _Source(photographs, flight, taken, origin, fixes, queries, plan, imported, control)
+    return _Source(folder, flight, photographs, origin, fixes, queries, plan, imported, control)
 
 
 def _ingest(out: Path, source: _Source) -> IngestReport:
@@ -211,7 +211,7 @@ def _ingest(out: Path, source: _Source) -> IngestReport:
 
 def _build(out: Path, source: _Source) -> IngestReport:
     """Write everything of the scene but its manifest."""
-    taken, fixes, queries = source.taken, source.fixes, source.queries
+    photographs, fixes, queries = source.photographs, source.fixes, source.queries
     options = source.plan.options
     rotated: set[str] = set()
     if source.imported is not None:
@@ -219,10 +219,10 @@ def _build(out: Path, source: _Source) -> IngestReport:
     else:
         flight, model_path, rotated = _reconstruct(out, source)
         times = {i.name: i.exif.time.timestamp() for i in flight.images if i.exif.time}
-        adjusted = adjust(model_path, taken, fixes, times, out / WORK)
-    points = [_rotate_marks(point, rotated, taken) for point in source.control]
+        adjusted = adjust(model_path, photographs, fixes, times, out / WORK)
+    points = [_rotate_marks(point, rotated, photographs) for point in source.control]
     adjusted, residuals = fit_to_control(
-        adjusted, points, source.origin, taken, out / WORK, options
+        adjusted, points, source.origin, photographs, out / WORK, options
     )
     model, images = adjusted.model, flight.images
     frames = out / "sessions" / SESSION / FRAMES
@@ -233,7 +233,7 @@ def _build(out: Path, source: _Source) -> IngestReport:
     receiver = Receiver(fixes, {} if source.plan.gps is not None else read_sigmas(images))
     georeference = estimate_georeference(model, adjusted.placed, receiver, residuals, options)
     findings = Findings(wrong_attitudes, rotated_files, residuals, georeference)
-    report = make_report(taken, flight, adjusted, fixes, sparse_map, findings)
+    report = make_report(photographs, flight, adjusted, fixes, sparse_map, findings)
     write_json(out / REPORT, report)
     draw(
         out / PICTURE,
@@ -251,10 +251,10 @@ def _build(out: Path, source: _Source) -> IngestReport:
 
 
 def _rotate_marks(
-    point: ControlPoint, rotated: set[str], taken: Sequence[Photograph]
+    point: ControlPoint, rotated: set[str], photographs: Sequence[Photograph]
 ) -> ControlPoint:
     """Return a point with its marks rotated in the photographs that the scene rotates."""
-    size = {p.name: np.array([p.camera.width, p.camera.height]) for p in taken}
+    size = {p.name: np.array([p.camera.width, p.camera.height]) for p in photographs}
     marks = {name: size[name] - xy if name in rotated else xy for name, xy in point.marks.items()}
     return replace(point, marks=marks)
 
@@ -266,9 +266,9 @@ def _use_imported_poses(
     copied = copy_photographs(source.flight, source.folder, out / "sessions", source.plan.size, ())
     _require_enough(copied, source.folder)
     names = [image.name for image in copied.images]
-    taken = [photograph for photograph in source.taken if photograph.name in set(names)]
+    photographs = [photograph for photograph in source.photographs if photograph.name in set(names)]
     options, database = source.plan.options, out / WORK / DATABASE
-    _match(taken, imported.centres, options, out)
+    _match(photographs, imported.centres, options, out)
     adjusted = triangulate_imported(imported, names, source.fixes, out / "sessions", database)
     return copied, adjusted
 
@@ -282,9 +282,9 @@ def _reconstruct(out: Path, source: _Source) -> tuple[Flight, Path, set[str]]:
     )
     _require_enough(copied, source.folder)
     files = {image.name: image.file for image in copied.images}
-    taken = [photograph for photograph in source.taken if photograph.name in files]
-    _match(taken, fixes, options, out)
-    model_path, unregistered = _map(taken, out, source.plan.mapper)
+    photographs = [photograph for photograph in source.photographs if photograph.name in files]
+    _match(photographs, fixes, options, out)
+    model_path, unregistered = _map(photographs, out, source.plan.mapper)
     if not rotated:
         raw = read_model(model_path)
         rotated = find_upside_down(raw, georegister(raw, fixes), copied.images)
@@ -306,31 +306,33 @@ def _require_enough(flight: Flight, folder: Path) -> None:
 
 
 def _match(
-    taken: Sequence[Photograph],
+    photographs: Sequence[Photograph],
     fixes: Mapping[str, NDArray[np.float64]],
     options: IngestOptions,
     out: Path,
 ) -> None:
-    pairs = choose_pairs([photograph.name for photograph in taken], fixes, options)
-    with progress_bar("extract and match", len(taken) + len(pairs)) as advance:
+    pairs = choose_pairs([photograph.name for photograph in photographs], fixes, options)
+    with progress_bar("extract and match", len(photographs) + len(pairs)) as advance:
         job = MatchingJob(out / "sessions", pairs, SiftOptions())
-        match_photographs(job, taken, out / WORK / DATABASE, advance)
+        match_photographs(job, photographs, out / WORK / DATABASE, advance)
 
 
-def _map(taken: Sequence[Photograph], out: Path, mapper: Mapper) -> tuple[Path, dict[str, str]]:
+def _map(
+    photographs: Sequence[Photograph], out: Path, mapper: Mapper
+) -> tuple[Path, dict[str, str]]:
     """Return the model with the most photographs, and the reasons why others are not in it."""
     models = out / WORK / "models"
-    with progress_bar("map", len(taken)) as advance, atomic_folder(models) as folder:
+    with progress_bar("map", len(photographs)) as advance, atomic_folder(models) as folder:
         models_by_size = map_photographs(
-            out / "sessions", taken, out / WORK / DATABASE, folder, mapper, advance
+            out / "sessions", photographs, out / WORK / DATABASE, folder, mapper, advance
         )
         members = [read_model(path).names for path in models_by_size]
     if not members or len(members[0]) < MIN_PHOTOGRAPHS:
         raise InputError(
-            f"no {MIN_PHOTOGRAPHS} of the {len(taken)} photographs could be registered together: "
-            "photograph with more overlap, over ground with texture"
+            f"no {MIN_PHOTOGRAPHS} of the {len(photographs)} photographs could be registered "
+            "together: photograph with more overlap, over ground with texture"
         )
-    reasons = {photograph.name: "not registered: too few matches" for photograph in taken}
+    reasons = {photograph.name: "not registered: too few matches" for photograph in photographs}
     for names in reversed(members):  # a photograph may be in several
         reasons |= dict.fromkeys(names, f"in another model, of {len(names)} photographs")
     return models / models_by_size[0].name, {

@@ -124,7 +124,7 @@ def fit_to_control(
     adjusted: AdjustedModel,
     points: Sequence[ControlPoint],
     origin: Geodetic,
-    taken: Sequence[Photograph],
+    photographs: Sequence[Photograph],
     work: Path,
     options: IngestOptions,
 ) -> tuple[AdjustedModel, tuple[ControlResidual, ...]]:
@@ -137,7 +137,7 @@ def fit_to_control(
         adjusted: the model as GPS placed it.
         points: the points, with marks in the scene's photographs.
         origin: geodetic coordinates of the world's origin.
-        taken: photographs of the model; others are ignored.
+        photographs: photographs of the model; others are ignored.
         work: folder for the adjusted model.
         options: sigma of the points.
     """
@@ -162,7 +162,7 @@ def fit_to_control(
             for p in used
         ]
         before = np.array([triangulated[p.name] for p in used])
-        adjusted = _move_to_points(adjusted, fixed, before, taken, work)
+        adjusted = _move_to_points(adjusted, fixed, before, photographs, work)
     return adjusted, tuple(
         _residual(adjusted.model, point, roles[point.name], surveyed[point.name])
         for point in points
@@ -180,7 +180,7 @@ def _move_to_points(
     adjusted: AdjustedModel,
     points: Sequence[SurveyedPoint],
     triangulated: Array,
-    taken: Sequence[Photograph],
+    photographs: Sequence[Photograph],
     work: Path,
 ) -> AdjustedModel:
     """Return the model after the fit to points, which it has ``triangulated`` at (N, 3)."""
@@ -191,7 +191,7 @@ def _move_to_points(
     with atomic_folder(work / "control") as folder:
         model = adjust_to_points(
             adjusted.folder,
-            taken,
+            photographs,
             fit_similarity(triangulated, surveyed),
             points,
             adjusted.refined,

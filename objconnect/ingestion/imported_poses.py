@@ -27,7 +27,7 @@ from objconnect.scene.geometry.geodesy import Geodetic
 from objconnect.scene.geometry.robust import SIGMA_OF_MEDIAN
 from objconnect.scene.imports.formats import read_foreign
 from objconnect.scene.imports.names import match_files
-from objconnect.scene.imports.poses import Frame
+from objconnect.scene.imports.poses import CoordinateFrame
 from objconnect.scene.maps.photographs import Photograph, PosedImage
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.storage.atomic import atomic_folder
@@ -77,7 +77,7 @@ def read_imported(
     flight: Flight,
     size: int,
     calibration: Camera | None,
-    frame: Frame | None = None,
+    frame: CoordinateFrame | None = None,
 ) -> tuple[Flight, ImportedPoses]:
     """Read the poses of photographs from another program's file.
 

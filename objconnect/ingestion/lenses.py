@@ -21,7 +21,8 @@ _SAME_FOCAL: Final = 0.005
 class _Lens:
     """A lens by its EXIF: maker and model, and 35 mm equivalent focal length (mm).
 
-    Where the fields of EXIF contradict each other, ``focals`` are their values (focal ratios).
+    If the fields of EXIF contradict each other, ``focals`` are their focal lengths, divided by the
+    longer image side.
     """
 
     body: tuple[str, str]
@@ -35,7 +36,7 @@ class _Lens:
 
 
 def apply_known_lenses(
-    scene: Scene, images: Sequence[FlightImage], taken: Sequence[Photograph]
+    scene: Scene, images: Sequence[FlightImage], photographs: Sequence[Photograph]
 ) -> list[Photograph]:
     """Give photographs taken with a lens of the map the calibrated camera of that lens.
 
@@ -45,10 +46,10 @@ def apply_known_lenses(
     Args:
         scene: a scene with a map.
         images: the photographs with their EXIF.
-        taken: the same photographs with cameras, as structure from motion reads them.
+        photographs: the same photographs with cameras, as structure from motion reads them.
 
     Returns:
-        ``taken`` with the known cameras.
+        The photographs with the known cameras.
     """
     counts: Counter[tuple[_Lens, Camera]] = Counter()
     for name, mapped in scene.sparse_map().images.items():
@@ -57,7 +58,7 @@ def apply_known_lenses(
             counts[_Lens((exif.make, exif.model), exif.focal_35mm, exif.focals), mapped.camera] += 1
     known = [lens_and_camera for lens_and_camera, _ in counts.most_common()]
     calibrated = []
-    for image, photograph in zip(images, taken, strict=True):
+    for image, photograph in zip(images, photographs, strict=True):
         exif = image.exif
         lens = _Lens((exif.make, exif.model), exif.focal_35mm, exif.focals)
         size = photograph.camera.width, photograph.camera.height

@@ -90,7 +90,7 @@ class Detections:
 class ObjectDetector(nn.Module):
     """A few convolutions over the features of all levels, resized to one stride.
 
-    Layers have the names of the weights in files.
+    The names of the layers are the keys in files of weights, so they must not change.
     """
 
     def __init__(self, config: DetectorConfig, strides: Sequence[int], dims: Sequence[int]) -> None:
@@ -109,6 +109,7 @@ class ObjectDetector(nn.Module):
             ),
             nn.ReLU(inplace=True),
         )
+        # Channels: centre, inside, offset (2), log_side, rise of DetectorMaps.
         self.places = nn.Conv2d(size, 6, 1)
         self.vectors = nn.Sequential(
             nn.Conv2d(size, size, 3, padding=1),
@@ -154,11 +155,9 @@ class ObjectDetector(nn.Module):
     def detect(self, joined: Tensor) -> DetectorMaps:
         """Return the maps for the result of ``join_levels``."""
         body = self.body(self.join(joined))
-        places = self.places(body)
+        maps = self.places(body)
         vector = functional.normalize(self.vectors(body), dim=1)
-        return DetectorMaps(
-            (places[:, 0], places[:, 1], places[:, 2:4], places[:, 4], places[:, 5], vector)
-        )
+        return DetectorMaps((maps[:, 0], maps[:, 1], maps[:, 2:4], maps[:, 4], maps[:, 5], vector))
 
 
 def extract_detections(maps: DetectorMaps, stride: int, count: int, min_score: float) -> Detections:

@@ -176,7 +176,9 @@ class MapObjects:
                 advance(done)
 
     def write(self) -> None:
-        """Write the objects of each photograph to the cache, for maps with added photographs.
+        """Write the objects of each photograph to the cache.
+
+        A later map with added photographs then computes only the objects of the added ones.
 
         Raises:
             InputError: a photograph changed meanwhile.

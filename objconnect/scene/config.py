@@ -143,18 +143,18 @@ def take_recorded(model: type[BaseModel], values: Mapping[str, Any]) -> dict[str
         >>> take_recorded(Options, {"steps": 9, "decay": 0.1, "loss": {"share": 0.3}})
         {'steps': 9, 'loss_share': 0.3}
     """
-    taken: dict[str, Any] = {}
+    kept: dict[str, Any] = {}
     for key, value in values.items():
         field = model.model_fields.get(key)
         inner = field.annotation if field else None
         if isinstance(inner, type) and issubclass(inner, BaseModel) and isinstance(value, Mapping):
-            taken[key] = take_recorded(inner, value)
+            kept[key] = take_recorded(inner, value)
         elif field is not None:
-            taken[key] = value
+            kept[key] = value
         elif isinstance(value, Mapping):
             prefixed = {f"{key}_{name}": item for name, item in value.items()}
-            taken |= take_recorded(model, {**value, **prefixed})
-    return taken
+            kept |= take_recorded(model, {**value, **prefixed})
+    return kept
 
 
 def _set_nested(values: dict[str, Any], key: str, value: Any) -> None:

@@ -55,13 +55,13 @@ def check_flight(name: str, cam_from_world: Array, camera: Camera, world: World)
         x, y, _ = centres[k]
         raise InputError(
             f"session {name}: photograph {k} at ({x:.0f}, {y:.0f}) m does not show the place, "
-            f"a square of {world.area_m:g} m around the origin: fly nearer or look down"
+            f"a square of {world.side_m:g} m around the origin: fly nearer or look down"
         )
 
 
 def is_free(centres: Array, world: World) -> NDArray[np.bool_]:
     """Return whether each of the positions (N, 3) is inside the place and clear of obstacles."""
-    inside = (np.abs(centres[:, :2]) <= 0.5 * world.area_m).all(1)
+    inside = (np.abs(centres[:, :2]) <= 0.5 * world.side_m).all(1)
     free: NDArray[np.bool_] = inside & (_missing_clearance(centres, world) <= 0)
     free[free] = find_blocking(centres[free], world) == 0
     return free
@@ -95,7 +95,7 @@ def _sees_place(cam_from_world: Array, centres: Array, camera: Camera, world: Wo
     ray = np.einsum("nji,rj->nri", cam_from_world[:, :3, :3], local)
     ray = np.where(np.abs(ray) < 1e-12, 1e-12, ray)
     tops = [item.centre[2] + 0.5 * item.size[2] for item in world.objects]
-    half = 0.5 * world.area_m
+    half = 0.5 * world.side_m
     low = np.array([-half, -half, world.terrain.nodes.min() - 1])
     high = np.array([half, half, max([world.terrain.nodes.max(), *tops])])
     # Slab method: a ray is inside the box between its last entry and its first exit.

@@ -47,7 +47,7 @@ class FlightContext:
     """The inputs of a flight planner besides the flight: place, camera, wind and defaults.
 
     Attributes:
-        area_m: Side of the square place around the origin, metres.
+        side_m: Side of the square place around the origin, metres.
         ground_height: Height of the ground in metres at world x, y in metres.
         camera: The camera of the photographs; its footprint is approximated by a pinhole.
         defaults: Options that a flight leaves out, by the role of its session.
@@ -57,7 +57,7 @@ class FlightContext:
         origin: Geodetic coordinates of the world's origin, for mission plans.
     """
 
-    area_m: float
+    side_m: float
     ground_height: GroundHeight
     camera: Camera
     defaults: FlightPlan = MAP_PLAN

@@ -130,7 +130,7 @@ def plan_oblique(
     """
     _require_positive(frames)
     defaults = context.defaults
-    radius_m = flight.radius_m or defaults.orbit_radius_share * context.area_m
+    radius_m = flight.radius_m or defaults.orbit_radius_share * context.side_m
     altitude_m = flight.altitude_m or defaults.orbit_altitude_m
     start_deg = defaults.orbit_start_deg if flight.start_deg is None else flight.start_deg
     bearing = np.radians(start_deg) + 2 * np.pi * np.arange(frames) / frames
@@ -173,7 +173,7 @@ def _lay_lines(
     along_m = (1 - forward_overlap) * camera.height * altitude_m / focal
     across_m = (1 - side_overlap) * camera.width * altitude_m / focal
     inset = INSET_SHARE * min(camera.width, camera.height) * altitude_m / focal
-    half = max(0.5 * context.area_m - inset, _LEAST_REACH_SHARE * context.area_m)
+    half = max(0.5 * context.side_m - inset, _LEAST_REACH_SHARE * context.side_m)
     reach = half * np.abs(right).sum()  # extent of the rotated square to either side
     if frames is None:
         lines = _count_to_cover(2 * reach / across_m)

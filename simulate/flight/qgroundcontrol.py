@@ -61,7 +61,7 @@ class _Transects(_PlanPart):
     follows_terrain: bool | None = Field(None, alias="FollowTerrain")
     hovers: bool = Field(False, alias="HoverAndCapture")
     # The default of QGroundControl.
-    in_turns: bool = Field(True, alias="CameraTriggerInTurnAround")
+    in_turnarounds: bool = Field(True, alias="CameraTriggerInTurnAround")
     turn_m: float = Field(0.0, alias="TurnAroundDistance")
 
 
@@ -92,7 +92,7 @@ class _Plan(_PlanPart):
 def read_plan(
     path: Path,
     origin: Geodetic,
-    area_m: float,
+    side_m: float,
     ground_height: GroundHeight,
     pitch_deg: float,
     undulation_m: float | None = None,
@@ -104,7 +104,7 @@ def read_plan(
     Args:
         path: The ``.plan`` file.
         origin: Geodetic coordinates of the world's origin.
-        area_m: Side of the square place around the origin, metres.
+        side_m: Side of the square place around the origin, metres.
         ground_height: Height of the ground in metres at world x, y in metres.
         pitch_deg: Pitch of the gimbal until the plan changes it.
         undulation_m: Height of the geoid above the ellipsoid, metres, for heights above sea level;
@@ -126,7 +126,7 @@ def read_plan(
     aircraft = Aircraft(vehicle, pitch_deg, Positions(vehicle, origin, ground_height, geoid_m))
     try:
         commands = list(_commands(mission))
-        _require_near(aircraft, commands, origin, 0.5 * area_m)
+        _require_near(aircraft, commands, origin, 0.5 * side_m)
         aims = aircraft.fly(commands)
     except InputError as error:
         raise InputError(f"mission plan {path}: {error}") from None
@@ -146,7 +146,9 @@ def read_plan(
 
 
 def check_plan(path: Path) -> None:
-    """Check that a mission plan can be read, without what depends on the place.
+    """Check that a mission plan can be read.
+
+    Checks that need the place, such as positions and heights, are left out.
 
     Raises:
         InputError: The file cannot be read.
@@ -248,8 +250,8 @@ def _intervals(
     """Return the trigger distance by the row of the point that sets it.
 
     QGroundControl sets the distance at the start of each transect and resets it at its end, or at
-    the end of the last one if photographs are taken in turns. The result is None where the points
-    cannot be assigned to transects.
+    the end of the last one if photographs are also taken in turnarounds. The result is None if the
+    points cannot be assigned to transects.
     """
     turn_points = 1 if transects.turn_m else 0
     if transects.hovers:
@@ -261,7 +263,7 @@ def _intervals(
         return None
     starts = [row for row in range(count) if row % per_transect == turn_points]
     ends = [row for row in range(count) if row % per_transect == turn_points + inner - 1]
-    if transects.in_turns:
+    if transects.in_turnarounds:
         starts, ends = [0, *starts], [count - 1]
     return dict.fromkeys(starts, trigger_m) | dict.fromkeys(ends, 0.0)
 

@@ -177,7 +177,7 @@ def street_aims(flight: StreetFlight, context: FlightContext, frames: int) -> Ai
         z = context.ground_height(xy[:, 0], xy[:, 1]) + flight.height_m
         candidates.append(np.column_stack([xy, z, heading]))
     positions = np.concatenate(candidates)
-    reach = max(0.5 * context.area_m - flight.edge_m, 0.0)
+    reach = max(0.5 * context.side_m - flight.edge_m, 0.0)
     away_from_edge = (np.abs(positions[:, :2]) <= reach).all(1)
     positions = positions[away_from_edge & context.is_free(positions[:, :3])]
     if len(positions) < stops:
@@ -220,7 +220,7 @@ def free_aims(
         return np.asarray(low + 0.5 * (high - low) * (1 + wave))
 
     time = (np.arange(frames) + 0.5) / frames
-    reach, aim_reach = 0.45 * context.area_m, 0.15 * context.area_m
+    reach, aim_reach = 0.45 * context.side_m, 0.15 * context.side_m
     x, y = course(-reach, reach), course(-reach, reach)
     east, north = course(-aim_reach, aim_reach) - x, course(-aim_reach, aim_reach) - y
     altitude_m = flight.altitude_m or (lowest * default_m, highest * default_m)
@@ -233,7 +233,7 @@ def _driven_roads(flight: StreetFlight, context: FlightContext) -> list[tuple[Ar
     """Return the centre lines (K, 2) in driving direction, and the widths of the roads."""
     roads: Sequence[Road] = context.roads
     if flight.roads is not None:
-        by_length = sorted(roads, key=lambda road: -len(_part_inside(road, context.area_m)))
+        by_length = sorted(roads, key=lambda road: -len(_part_inside(road, context.side_m)))
         roads = by_length[: flight.roads]
     direction = flight.way or ("back" if context.defaults.backwards else "there")
     steps = {"there": (1,), "back": (-1,), "both": (1, -1)}[direction]
@@ -242,15 +242,15 @@ def _driven_roads(flight: StreetFlight, context: FlightContext) -> list[tuple[Ar
 
 def _longest_road(context: FlightContext) -> Array:
     """Return the line (K, 2) of the road that is longest inside the place, clipped to it."""
-    parts = (_part_inside(road, context.area_m) for road in context.roads)
+    parts = (_part_inside(road, context.side_m) for road in context.roads)
     longest = max(parts, key=len, default=np.empty((0, 2)))
     if len(longest) < 2:
         raise InputError("this place has no road for a corridor to follow: give the flight a line")
     return longest
 
 
-def _part_inside(road: Road, area_m: float) -> Array:
+def _part_inside(road: Road, side_m: float) -> Array:
     """Return equidistant points (N, 2) of a road between its first and last inside the place."""
     points, _ = polyline_points(road.line, np.arange(0.0, polyline_length(road.line), _ROAD_STEP_M))
-    inside = np.flatnonzero((np.abs(points) <= 0.5 * area_m).all(1))
+    inside = np.flatnonzero((np.abs(points) <= 0.5 * side_m).all(1))
     return points[inside[0] : inside[-1] + 1] if len(inside) else points[:0]

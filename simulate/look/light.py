@@ -45,7 +45,8 @@ def add_light(data: Any, scene: Any, condition: Condition) -> None:
     tree.links.new(split.outputs["Z"], ramp.inputs["Fac"])
     tree.links.new(ramp.outputs["Color"], background.inputs["Color"])
     tree.links.new(background.outputs[0], output.inputs["Surface"])
-    # Rays from surfaces sample a smooth sky well. Sampling it as a lamp would take half of the
-    # shadow rays from the sun, a third more time, and add noise.
+    # Rays from surfaces sample a smooth sky well. If it were sampled as a lamp, half of the shadow
+    # rays would go to the sky instead of the sun, rendering would take a third longer, and the
+    # picture would be noisier.
     sky.cycles.sampling_method = "NONE"
     scene.view_settings.exposure = condition.exposure

@@ -26,8 +26,9 @@ _LAMP_RED: Rgb = (0.30, 0.02, 0.02)
 _WOOD: Rgb = (0.24, 0.15, 0.085)
 _IRON: Rgb = (0.06, 0.06, 0.065)
 
-# Shapes of cars: start of tail, roof (back and front) and bonnet, as shares of the length
-# from the tail, and the height of the waist line as a share of the car's height.
+# Shapes of cars. Distances from the rear end, as shares of the length: foot of the rear window,
+# rear and front edge of the roof, foot of the windscreen. Then the height of the waist line as a
+# share of the car's height.
 _CAR_SHAPES = {
     "hatchback": (0.02, 0.10, 0.55, 0.74, 0.60),
     "saloon": (0.16, 0.28, 0.55, 0.72, 0.62),
@@ -54,15 +55,17 @@ def shape_mesh(name: str) -> Mesh:
     return _SHAPES[name]().fit_to_cube()
 
 
-def _car(tail: float, roof_back: float, roof_front: float, bonnet: float, waist: float) -> Mesh:
+def _car(
+    rear_window: float, roof_rear: float, roof_front: float, windscreen: float, waist: float
+) -> Mesh:
     """Build a car of 4.5 x 1.8 x 1.5 m: a body, and a narrower cabin with glass sides."""
     length, width, height = 4.5, 1.8, 1.5
     out = MeshBuilder()
     half = 0.5 * width
-    x = [length * t for t in (tail, roof_back, roof_front, bonnet)]
+    x = [length * t for t in (rear_window, roof_rear, roof_front, windscreen)]
     w, sill, nose = waist * height, 0.16, 0.48 * height
     body = [(0.05, sill), (length - 0.05, sill), (length, 0.32), (length - 0.03, nose),
-            (x[3], w), (x[0], w), (0.0, 0.62 * height if tail < 0.1 else 0.56 * height),
+            (x[3], w), (x[0], w), (0.0, 0.62 * height if rear_window < 0.1 else 0.56 * height),
             (0.0, 0.32)]  # fmt: skip
     out.prism(body, (-half, half), "paint")
     # The cabin's sides lean inwards. Its roof and pillars are painted, and the rest is glass.

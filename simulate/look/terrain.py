@@ -37,8 +37,8 @@ def ground_mesh(world: World, condition: Condition) -> Mesh:
     fade = np.exp(-((outside_m / 150.0) ** 2))
     z = world.level_m + (surface - world.level_m) * fade + _hills(x, y, outside_m)
     mesh = grid_mesh(axis, axis, z, "ground")
-    side_m = world.area_m + 2 * world.margin_m
-    mesh.uv[:] = mesh.uv / side_m + 0.5  # the image covers the area once
+    textured_m = world.side_m + 2 * world.margin_m
+    mesh.uv[:] = mesh.uv / textured_m + 0.5  # the image covers the area once
 
     middle = mesh.vertices[mesh.corners.reshape(-1, 4)].mean(1)
     is_countryside = np.abs(middle[:, :2]).max(1) > half + MIRRORED_M
@@ -59,7 +59,7 @@ def kerbs_mesh(world: World) -> Mesh | None:
     if not world.kerbs:
         return None
     mesh = merge([_kerb_mesh(kerb, world) for kerb in world.kerbs])
-    mesh.uv[:] = mesh.uv / world.area_m + 0.5
+    mesh.uv[:] = mesh.uv / world.side_m + 0.5
     return mesh
 
 

@@ -83,9 +83,9 @@ class PlaceBuilder:
     """
 
     def __init__(
-        self, area_m: float, terrain: Heightfield, rng: np.random.Generator, steep: bool = False
+        self, side_m: float, terrain: Heightfield, rng: np.random.Generator, steep: bool = False
     ) -> None:
-        self.area_m = area_m
+        self.side_m = side_m
         self.terrain = terrain
         self.rng = rng
         self._is_steep = steep
@@ -125,7 +125,7 @@ class PlaceBuilder:
         counts = [len(r.line) - 1 for r in roads]
         half_width = np.repeat([0.5 * r.width_m for r in roads], counts)
         road_of = np.repeat(np.arange(len(roads)), counts)
-        near = np.abs(pieces[:, :2]).max(1) < 0.5 * self.area_m + 30.0
+        near = np.abs(pieces[:, :2]).max(1) < 0.5 * self.side_m + 30.0
         self._pieces, self._half_width, self._road_of = (
             pieces[near],
             half_width[near],
@@ -196,7 +196,7 @@ class PlaceBuilder:
         at = np.asarray(at, float)
         length, width, height = spec.size
         corners = rectangle(at, (length, width), yaw)
-        if np.abs(corners).max() > 0.5 * self.area_m:
+        if np.abs(corners).max() > 0.5 * self.side_m:
             return False
         gap_m = footing.gap_m
         grown = rectangle(at, (length + 2 * gap_m, width + 2 * gap_m), yaw)
@@ -287,7 +287,7 @@ class PlaceBuilder:
         number = len(self.objects) + 1
         if number > MAX_OBJECT_ID:
             raise InputError(
-                f"a place of {self.area_m:g} m a side has more than {MAX_OBJECT_ID} objects, the "
+                f"a place of {self.side_m:g} m a side has more than {MAX_OBJECT_ID} objects, the "
                 "maximum: choose a smaller area"
             )
         yaw = float(np.angle(np.exp(1j * yaw)))

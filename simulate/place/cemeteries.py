@@ -36,7 +36,7 @@ class Graves:
         apart_m: Distance between graves of a row.
         stones: Colours of the stones.
         weights: Shares of the kinds of graves.
-        taken: Share of the positions with a grave.
+        occupied_share: Share of the positions with a grave.
     """
 
     size: tuple[float, float, float]
@@ -44,7 +44,7 @@ class Graves:
     apart_m: float
     stones: tuple[Rgb, ...]
     weights: tuple[float, ...]
-    taken: float
+    occupied_share: float
 
 
 def draw_graves(builder: PlaceBuilder) -> Graves:
@@ -59,7 +59,7 @@ def draw_graves(builder: PlaceBuilder) -> Graves:
         apart_m=width + rng.uniform(0.7, 1.4),
         stones=tuple(_STONES[k] for k in stones),
         weights=tuple(weights.tolist()),
-        taken=rng.uniform(0.8, 0.95),
+        occupied_share=rng.uniform(0.8, 0.95),
     )
 
 
@@ -80,7 +80,7 @@ def graves(builder: PlaceBuilder, block: Block) -> None:
         foot = b - 0.5 * kind.size[0] - 0.6
         builder.paint("path", frame.quad(2.5, length - 2.5, foot - 0.4, foot + 0.4), 0.6)
         for a in np.arange(3.0, length - 3.0, kind.apart_m):
-            if builder.chance(kind.taken):
+            if builder.chance(kind.occupied_share):
                 shape = _GRAVES[int(rng.choice(len(_GRAVES), p=kind.weights))]
                 stone = vary(builder, builder.choose(kind.stones))
                 grave = ObjectSpec("grave", shape, kind.size, stone)

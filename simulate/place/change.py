@@ -235,7 +235,7 @@ class _FreePositions:
         objects.
         """
         grown = rectangle(at, item.size[:2] + 2 * _GAP_M, neighbour.yaw)
-        if np.abs(grown).max() > 0.5 * self._base.area_m:
+        if np.abs(grown).max() > 0.5 * self._base.side_m:
             return False
         under = np.vstack([grown, 0.5 * (grown + np.roll(grown, 1, 0)), at])
         if (self._label(under) != self._label(neighbour.centre[None, :2])).any():

@@ -16,17 +16,17 @@ MAX_TEXELS = 4096  # a side; larger places have coarser texels instead of larger
 SHIFT = 4  # fractional bits of OpenCV's sub-pixel drawing
 
 
-def texel_size(area_m: float) -> float:
-    """Return the side of a ground texel in metres, for a place of ``area_m`` metres a side."""
-    return max(TEXEL_M, area_m / MAX_TEXELS)
+def texel_size(side_m: float) -> float:
+    """Return the side of a ground texel in metres, for a place of ``side_m`` metres a side."""
+    return max(TEXEL_M, side_m / MAX_TEXELS)
 
 
 def paint(
-    area_m: float, regions: Iterable[Region], markings: Iterable[Marking], base: str = "grass"
+    side_m: float, regions: Iterable[Region], markings: Iterable[Marking], base: str = "grass"
 ) -> Ground:
     """Paint regions over a base class on a raster of the whole area, later ones over earlier."""
-    n = round(area_m / texel_size(area_m))
-    texel = area_m / n
+    n = round(side_m / texel_size(side_m))
+    texel = side_m / n
     labels = np.full((n, n), CLASSES[base], np.uint8)
     tone = np.full((n, n), 128, np.uint8)
     for region in regions:

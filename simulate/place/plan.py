@@ -22,7 +22,7 @@ from simulate.place.streets import (
 )
 from simulate.place.world import Heightfield, Surroundings, World
 
-MIN_AREA_M, MAX_AREA_M = 100.0, 2000.0
+MIN_SIDE_M, MAX_SIDE_M = 100.0, 2000.0
 _CORE_M = 600.0  # farther from the middle, most blocks are open land
 _OUTSKIRTS_OPEN = 0.92  # share of open land among those blocks
 
@@ -78,7 +78,7 @@ class Plan:
         after_blocks: Functions that place objects along the roads after the blocks are filled.
         before_blocks: Functions that place objects along the roads before the blocks are filled.
         streets: The appearance of the streets.
-        least_m: The minimum side, metres, for all quarters.
+        min_side_m: Minimum side of the place, metres, at which every quarter has room.
         relief: The function that draws the terrain.
         steep: Whether the ground is so steep that vehicles lean with it.
     """
@@ -88,40 +88,40 @@ class Plan:
     after_blocks: tuple[Lining, ...]
     before_blocks: tuple[Lining, ...] = ()
     streets: StreetKind = TOWN_STREETS
-    least_m: float = MIN_AREA_M
+    min_side_m: float = MIN_SIDE_M
     relief: Relief = relief
     steep: bool = False
 
-    def build(self, seed: int, area_m: float) -> World:
-        """Build a square place of ``area_m`` metres. Equal seeds and areas give equal places.
+    def build(self, seed: int, side_m: float) -> World:
+        """Build a square place of side ``side_m`` (metres); equal arguments give equal places.
 
         Raises:
-            InputError: ``area_m`` is not within ``least_m`` and 2000 m, the seed is negative, or
+            InputError: ``side_m`` is not within ``min_side_m`` and 2000 m, the seed is negative, or
                 the place needs more objects than there are ids.
         """
-        if not self.least_m <= area_m <= MAX_AREA_M:
+        if not self.min_side_m <= side_m <= MAX_SIDE_M:
             raise InputError(
-                f"area must be {self.least_m:.0f} to {MAX_AREA_M:.0f} m a side, got {area_m:g}"
+                f"area must be {self.min_side_m:.0f} to {MAX_SIDE_M:.0f} m a side, got {side_m:g}"
             )
         if seed < 0:
             raise InputError(f"seed must not be negative, got {seed}")
         rng = np.random.default_rng([seed, 0])
-        builder = PlaceBuilder(area_m, self.relief(area_m, rng), rng, self.steep)
+        builder = PlaceBuilder(side_m, self.relief(side_m, rng), rng, self.steep)
         least = max(2, len(self.quarters))
-        pitch_m = area_m / max(least, round(area_m / self.block_m))
+        pitch_m = side_m / max(least, round(side_m / self.block_m))
         blocks = lay_streets(builder, pitch_m, self.streets)
         for line_roads in self.before_blocks:
             line_roads(builder)
-        parts = divide(blocks, area_m, len(self.quarters))
+        parts = divide(blocks, side_m, len(self.quarters))
         for quarter, part in zip(self.quarters, parts, strict=True):
             quarter.fill(builder, part)
         for line_roads in self.after_blocks:
             line_roads(builder)
-        ground = paint(area_m, builder.regions, builder.markings)
+        ground = paint(side_m, builder.regions, builder.markings)
         kerbs = lay_kerbs(builder.roads, ground)
         return World(
             seed=seed,
-            area_m=float(area_m),
+            side_m=float(side_m),
             terrain=builder.terrain,
             roads=builder.roads,
             ground=ground,
@@ -129,7 +129,7 @@ class Plan:
             kerbs=kerbs,
             surroundings=tuple(
                 Surroundings(quarter.name, outline)
-                for quarter, outline in zip(self.quarters, outlines(parts, area_m), strict=True)
+                for quarter, outline in zip(self.quarters, outlines(parts, side_m), strict=True)
                 if quarter.name
             ),
         )

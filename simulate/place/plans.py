@@ -83,7 +83,7 @@ INDUSTRIAL = Plan(
 
 STREET = Plan(
     block_m=62.0,
-    least_m=180.0,
+    min_side_m=180.0,
     quarters=(
         Quarter(
             name="urban",

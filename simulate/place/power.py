@@ -26,7 +26,7 @@ def power_lines(builder: PlaceBuilder) -> None:
     The roads that cross the place are sorted by their distance from its centre, and every third of
     them has a power line.
     """
-    crossing = [r for r in builder.roads if polyline_length(r.line) > builder.area_m]
+    crossing = [r for r in builder.roads if polyline_length(r.line) > builder.side_m]
     crossing.sort(key=lambda r: float(np.linalg.norm(r.line, axis=1).min()))
     for road in crossing[::3]:
         side = builder.choose((1.0, -1.0))

@@ -60,5 +60,5 @@ def preset(name: str, prepared: Path | None = None) -> Callable[[int, float], Wo
     if name == SITE and prepared is not None:
         from simulate.place.survey_files import load_site
 
-        return lambda seed, _area_m: load_site(prepared, seed)
+        return lambda seed, _side_m: load_site(prepared, seed)
     return PRESETS.load(name).build

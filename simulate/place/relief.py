@@ -10,10 +10,10 @@ _SPACING_M = 2.0
 _MAX_NODES = 500  # a side; enough, because the shortest wave is 90 m long
 
 
-def relief(area_m: float, rng: np.random.Generator) -> Heightfield:
+def relief(side_m: float, rng: np.random.Generator) -> Heightfield:
     """Return rolling ground: a few long waves, a few metres high, with slopes of a few per cent."""
-    n = int(np.ceil(area_m / max(_SPACING_M, area_m / _MAX_NODES))) + 1
-    axis = np.linspace(-0.5 * area_m, 0.5 * area_m, n)
+    n = int(np.ceil(side_m / max(_SPACING_M, side_m / _MAX_NODES))) + 1
+    axis = np.linspace(-0.5 * side_m, 0.5 * side_m, n)
     z = np.zeros((n, n))
     for length in rng.uniform(90.0, 330.0, 9):
         heading, phase = rng.uniform(0, 2 * np.pi, 2)
@@ -23,9 +23,9 @@ def relief(area_m: float, rng: np.random.Generator) -> Heightfield:
     return Heightfield(z, float(axis[1] - axis[0]))
 
 
-def valley(area_m: float, rng: np.random.Generator) -> Heightfield:
+def valley(side_m: float, rng: np.random.Generator) -> Heightfield:
     """Return rolling ground in a valley, whose sides rise by 30 to 45 m with slopes up to 27 %."""
-    rolling = relief(area_m, rng)
+    rolling = relief(side_m, rng)
     axis = rolling.spacing_m * np.arange(len(rolling.nodes)) - rolling.half_side_m
     heading, high, wide = rng.uniform(0, np.pi), rng.uniform(30.0, 45.0), rng.uniform(130.0, 160.0)
     along = np.cos(heading) * axis[None] + np.sin(heading) * axis[:, None]

@@ -140,7 +140,7 @@ def lay_streets(builder: PlaceBuilder, pitch_m: float, kind: StreetKind) -> list
     """
     rng = builder.rng
     warp = Warp.random(rng, pitch_m, kind.bend)
-    cells = int(np.ceil(0.5 * builder.area_m * 1.3 / pitch_m)) + 1  # on each side of the origin
+    cells = int(np.ceil(0.5 * builder.side_m * 1.3 / pitch_m)) + 1  # on each side of the origin
     lines = [
         pitch_m * (np.arange(-cells, cells + 1) + rng.uniform(-0.14, 0.14, 2 * cells + 1))
         for _ in range(2)
@@ -185,30 +185,30 @@ def lay_streets(builder: PlaceBuilder, pitch_m: float, kind: StreetKind) -> list
                     vs[j + 1] - inset_v[1],
                 )
             )
-    reach = 0.5 * builder.area_m + 0.75 * pitch_m
+    reach = 0.5 * builder.side_m + 0.75 * pitch_m
     blocks = [b for b in blocks if np.abs(b.centre()).max() < reach]
     return sorted(blocks, key=lambda b: float(np.linalg.norm(b.centre())))
 
 
-def divide(blocks: Sequence[Block], area_m: float, count: int) -> list[list[Block]]:
+def divide(blocks: Sequence[Block], side_m: float, count: int) -> list[list[Block]]:
     """Divide blocks into ``count`` bands along u, as equal in width as whole columns allow.
 
     Each band keeps the order of the blocks. A column outside the area belongs to the nearest band.
     """
     columns = sorted({(b.u0, b.u1) for b in blocks})
-    inside = [c for c in columns if abs(sum(c)) < 1.1 * area_m]
+    inside = [c for c in columns if abs(sum(c)) < 1.1 * side_m]
     bands = np.array_split(np.arange(len(inside)), count)
     starts = [inside[band[0]][0] for band in bands[1:]]
     band_of = [sum(block.u0 >= start for start in starts) for block in blocks]
     return [[b for b, w in zip(blocks, band_of, strict=True) if w == k] for k in range(count)]
 
 
-def outlines(bands: Sequence[Sequence[Block]], area_m: float) -> list[Array]:
+def outlines(bands: Sequence[Sequence[Block]], side_m: float) -> list[Array]:
     """Return the world outline (K, 2) of each band of blocks, between the middles of streets."""
     warp = bands[0][0].warp
     edges = [max(b.u1 for b in a) + min(b.u0 for b in c) for a, c in pairwise(bands)]
-    ends = [-area_m, *(0.5 * edge for edge in edges), area_m]
-    across = np.arange(-area_m, area_m + _STEP_M, _STEP_M)
+    ends = [-side_m, *(0.5 * edge for edge in edges), side_m]
+    across = np.arange(-side_m, side_m + _STEP_M, _STEP_M)
     sides = [warp(np.stack([np.full_like(across, u), across], -1)) for u in ends]
     return [np.vstack([left, right[::-1]]) for left, right in pairwise(sides)]
 

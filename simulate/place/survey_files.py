@@ -33,7 +33,7 @@ def save_site(path: Path, world: World) -> None:
     with atomic_write(path) as partial, partial.open("wb") as file:
         np.savez_compressed(
             file,
-            area_m=world.area_m,
+            area_m=world.side_m,
             margin_m=world.margin_m,
             level_m=world.level_m,
             spacing_m=world.terrain.spacing_m,
@@ -58,7 +58,7 @@ def load_site(path: Path, seed: int) -> World:
             spacing_m = float(file["spacing_m"])
             return World(
                 seed=seed,
-                area_m=float(file["area_m"]),
+                side_m=float(file["area_m"]),
                 terrain=Heightfield(file["surface"].astype(float), spacing_m),
                 roads=(),
                 ground=make_ground(file["labels"], float(file["texel_m"])),

@@ -264,7 +264,7 @@ class WorldObject:
 
 @dataclass(frozen=True)
 class World:
-    """A square place of ``area_m`` metres, centred on the origin, east-north-up, Z up.
+    """A square place of ``side_m`` metres, centred on the origin, east-north-up, Z up.
 
     Its surroundings do not overlap and cover the place, or there are none. The last four attributes
     belong to sites, whose terrain is the surface including buildings and trees.
@@ -277,7 +277,7 @@ class World:
     """
 
     seed: int
-    area_m: float
+    side_m: float
     terrain: Heightfield
     roads: tuple[Road, ...]
     ground: Ground

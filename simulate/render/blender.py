@@ -76,7 +76,7 @@ def main(chunk_path: str) -> None:
     if job.board is not None:
         _build_board(job.board)
     else:
-        base = preset(job.preset, job.prepared)(job.seed, job.area_m)
+        base = preset(job.preset, job.prepared)(job.seed, job.side_m)
         world = change_world(base, job.change, job.first_new_id).world
         condition = conditions.condition(job.condition, job.origin)
         thermal = _thermal_camera(job, world, condition, _build_scene(world, condition))

@@ -50,7 +50,7 @@ class RenderJob(BaseModel):
 
     preset: str = "town"
     seed: int = Field(ge=0)
-    area_m: float = Field(gt=0)
+    side_m: float = Field(gt=0)
     condition: str
     origin: Geodetic = DEFAULT_ORIGIN
     change: Change = Change()

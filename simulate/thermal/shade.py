@@ -38,8 +38,8 @@ class Shade:
     """
 
     def __init__(self, world: World, suns: Array) -> None:
-        self._n = int(np.clip(world.area_m / _LEAST_CELL_M, 2, _MOST_CELLS))
-        self._cell_m = world.area_m / self._n
+        self._n = int(np.clip(world.side_m / _LEAST_CELL_M, 2, _MOST_CELLS))
+        self._cell_m = world.side_m / self._n
         height = _raise_objects(world, _terrain(world, self._n, self._cell_m), self._cell_m)
         self._maps = [_cast(height, self._cell_m, sun) if sun[2] > 0 else None for sun in suns]
 

@@ -53,13 +53,13 @@ class _Grids(NamedTuple):
 
 
 def build_site(
-    site: SiteConfig, area_m: float, origin: Geodetic, seed: int, beside: Path
+    site: SiteConfig, side_m: float, origin: Geodetic, seed: int, beside: Path
 ) -> tuple[World, SiteReport]:
     """Build the place of a site.
 
     Args:
         site: Its files.
-        area_m: Side of the place, metres.
+        side_m: Side of the place, metres.
         origin: Origin of its world, at its centre.
         seed: Random seed of snow and puddles.
         beside: Folder in which temporary files are written.
@@ -76,13 +76,13 @@ def build_site(
             "the file"
         )
     with open_rasters(site, beside) as files:
-        return _build(site, files, area_m, origin, seed)
+        return _build(site, files, side_m, origin, seed)
 
 
 def _build(
-    site: SiteConfig, files: Files, area_m: float, origin: Geodetic, seed: int
+    site: SiteConfig, files: Files, side_m: float, origin: Geodetic, seed: int
 ) -> tuple[World, SiteReport]:
-    grids = _grids(files, area_m, origin)
+    grids = _grids(files, side_m, origin)
     surface = sample_heights(files.heights, origin, grids.nodes, site.undulation)
     surface = drop_islands(surface, grids.nodes.spacing_m)
     rgb = sample_colours(files.colours, origin, grids.texels)
@@ -116,7 +116,7 @@ def _build(
     snow = snow_share(surface, grids.nodes.spacing_m, classes, above_ground, albedo, texel_m)
     world = World(
         seed=seed,
-        area_m=float(area_m),
+        side_m=float(side_m),
         terrain=Heightfield(surface.astype(float), grids.nodes.spacing_m),
         roads=(),
         ground=make_ground(classes, texel_m),
@@ -129,7 +129,7 @@ def _build(
     return world, report.model_copy(update={"notes": _notes(files, report)})
 
 
-def _grids(files: Files, area_m: float, origin: Geodetic) -> _Grids:
+def _grids(files: Files, side_m: float, origin: Geodetic) -> _Grids:
     """Choose the grids of a place, with a margin around it where the rasters have data."""
     rasters = (files.colours, files.heights)
     known_m = inner_square(rasters, origin)
@@ -141,8 +141,8 @@ def _grids(files: Files, area_m: float, origin: Geodetic) -> _Grids:
         )
     if files.photographs:  # photographs colour the surroundings as far as they show them
         known_m = outer_square(files.colours, origin)
-    margin_m = float(np.clip(known_m - 0.5 * area_m, 0.0, MIRRORED_M))
-    half_m = 0.5 * area_m + margin_m
+    margin_m = float(np.clip(known_m - 0.5 * side_m, 0.0, MIRRORED_M))
+    half_m = 0.5 * side_m + margin_m
     pixel, height_pixel = max(files.colours.grid.ground_pixel), max(files.heights.grid.ground_pixel)
     texels = round(2 * half_m / max(pixel, _LEAST_TEXEL_M, 2 * half_m / _MOST_TEXELS))
     spacing_m = max(height_pixel, _LEAST_SPACING_M, 2 * half_m / (_MOST_NODES - 1))

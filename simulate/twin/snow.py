@@ -17,9 +17,10 @@ _SHELTER_M, _SHELTER_RISE_M = 2.5, 4.0
 _SHELTERED = 0.08  # share of the snow that a high wall keeps off
 # Vertical component of unit normals at which no snow lies, and from which all snow stays.
 _SNOW_FROM, _SNOW_TO = 0.35, 0.75
-# Sides lower than this keep most of their snow: hedges, banks, noise of the surface model.
-_LOW_SIDE_M, _ON_LOW_SIDES = 1.2, 0.7
-# Share of the snow that stays, by class. Crowns are speckled on all sides.
+# Height steps lower than this keep most of their snow: hedges, banks, noise of the surface model.
+_LOW_STEP_M, _ON_LOW_STEPS = 1.2, 0.7
+# Share of the snow that stays, by class. Crowns keep this share on every slope, because snow lies
+# on them in patches.
 _KEPT_SHARE = {LOW_VEGETATION: 1.0, ROOF: 1.0, CROWN: 0.42, WATER: 0.0}
 # Share of the snow that stays on roads, car parks and paths. Traffic clears roads, and car parks in
 # part. Narrow or light ground (pavements, gravel yards) counts as a path, which is walked on.
@@ -77,8 +78,8 @@ def snow_by_slope(surface: Float, spacing_m: float, n: int) -> Float:
     up = 1 / np.sqrt(1 + east**2 + north**2)
     by_slope = np.clip((up - _SNOW_FROM) / (_SNOW_TO - _SNOW_FROM), 0, 1)
     kernel = np.ones((3, 3), np.uint8)
-    side = (cv2.dilate(surface, kernel) - cv2.erode(surface, kernel))[:-1, :-1]
-    by_slope = np.where(side < _LOW_SIDE_M, np.maximum(by_slope, _ON_LOW_SIDES), by_slope)
+    step = (cv2.dilate(surface, kernel) - cv2.erode(surface, kernel))[:-1, :-1]
+    by_slope = np.where(step < _LOW_STEP_M, np.maximum(by_slope, _ON_LOW_STEPS), by_slope)
     width = 2 * max(1, round(_SHELTER_M / spacing_m)) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
     rise = np.clip((cv2.dilate(surface, disc) - surface) / _SHELTER_RISE_M, 0, 1)[:-1, :-1]

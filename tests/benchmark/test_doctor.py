@@ -71,7 +71,7 @@ def test_a_library_that_does_not_load_and_no_network(tmp_path: Path) -> None:
     assert f"fix: {sys.executable} -m pip install 'h5py>=" in lines[at + 1]
     assert any(line.startswith("missing typer") for line in lines)
     assert any(line.startswith("ok") and " numpy " in line for line in lines)
-    assert lines[-1] == "2 required parts missing"
+    assert lines[-1] == "requirements not met: 2"
 
 
 def test_doctor_prints_json_and_exits_with_2(loads: Callable[..., None]) -> None:

@@ -52,7 +52,7 @@ def dot_errors(camera: Camera, folder: Path) -> np.ndarray:
     points = (local - pose[:3, 3]) @ pose[:3, :3]
     pinhole, lens = split_lens(camera)
     job = RenderJob(
-        seed=0, area_m=1, condition="summer-noon", camera=pinhole, lens=lens, samples=_SAMPLES,
+        seed=0, side_m=1, condition="summer-noon", camera=pinhole, lens=lens, samples=_SAMPLES,
         poses={0: pose.tolist()},
     )  # fmt: skip
     paths = [folder / name for name in ("job.json", "dots.npz", "photograph.npy")]

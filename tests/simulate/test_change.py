@@ -74,7 +74,7 @@ def test_new_places_are_free_and_on_the_ground(town: World) -> None:
     for item in items:
         if item.id in new:
             box = item.footprint()
-            assert np.abs(box).max() <= 0.5 * town.area_m
+            assert np.abs(box).max() <= 0.5 * town.side_m
             base = item.centre[2] - 0.5 * item.size[2]
             at = item.centre[:2]
             assert base == pytest.approx(float(town.terrain.height(*at)) + rises.height_at(at))

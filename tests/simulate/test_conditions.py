@@ -144,7 +144,7 @@ def render_frame(name: str, folder: Path, bare: bool = False) -> dict[str, np.nd
     flight = ObliqueFlight(radius_m=50.0, altitude_m=45.0)
     pose = plan_oblique(flight, context, 1, np.random.default_rng(0))[0]
     job = RenderJob(
-        seed=SEED, area_m=AREA, condition=name, change=Change(bare_trees=bare),
+        seed=SEED, side_m=AREA, condition=name, change=Change(bare_trees=bare),
         camera=CAMERA, samples=1, poses={0: pose.tolist()},
     )  # fmt: skip
     render(job, folder)

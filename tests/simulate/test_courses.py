@@ -23,10 +23,10 @@ Array = NDArray[np.float64]
 FEATURELESS = np.zeros((2, 2), np.uint8)
 
 
-def make_plain(area_m: float) -> World:
+def make_plain(side_m: float) -> World:
     """A plain without roads and objects: the ground of a place moves its courses up and down."""
-    ground = Ground(area_m / 2, FEATURELESS, FEATURELESS, ())
-    return World(0, area_m, Heightfield(np.zeros((2, 2)), area_m), (), ground, ())
+    ground = Ground(side_m / 2, FEATURELESS, FEATURELESS, ())
+    return World(0, side_m, Heightfield(np.zeros((2, 2)), side_m), (), ground, ())
 
 
 def fly(config: SimulateConfig) -> Iterator[tuple[str, Array]]:

@@ -150,7 +150,7 @@ def flown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     poses = np.concatenate([down, oblique[:2]])
     pinhole, lens = split_lens(camera)
     job = RenderJob(
-        seed=SEED, area_m=AREA, condition="summer-noon", camera=pinhole, lens=lens, samples=1,
+        seed=SEED, side_m=AREA, condition="summer-noon", camera=pinhole, lens=lens, samples=1,
         poses={i: pose.tolist() for i, pose in enumerate(poses)},
     )  # fmt: skip
     out: Path = tmp_path_factory.mktemp(request.param)

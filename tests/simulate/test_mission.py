@@ -305,8 +305,8 @@ def without_items(**camera: Any) -> Item:
     transects = made["TransectStyleComplexItem"]
     del transects["CameraCalc"]["DistanceMode"]
     transects |= {key: camera.pop(key) for key in list(camera) if key[0] in "HFTV"}
-    if "in_turns" in camera:
-        transects["CameraTriggerInTurnAround"] = camera.pop("in_turns")
+    if "in_turnarounds" in camera:
+        transects["CameraTriggerInTurnAround"] = camera.pop("in_turnarounds")
     transects["CameraCalc"] |= camera
     return made
 
@@ -353,7 +353,7 @@ def test_unknown_references_of_surveys_are_named(
 
 
 def test_surveys_without_items_stop_in_turns(tmp_path: Path) -> None:
-    kept = fly(tmp_path, without_items(DistanceMode=1, in_turns=False)).centres
+    kept = fly(tmp_path, without_items(DistanceMode=1, in_turnarounds=False)).centres
     assert set(np.round(kept[:, 0])) == {-60, 20}, "none between the lines"
     assert len(kept) == 22
     hovers = fly(tmp_path, without_items(DistanceMode=1, HoverAndCapture=True)).centres

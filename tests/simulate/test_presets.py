@@ -21,7 +21,7 @@ from simulate.place import builder
 from simulate.place.change import VEHICLES, Change, change_world
 from simulate.place.grid import CircleGrid
 from simulate.place.objects import CONTAINER_M
-from simulate.place.plan import MAX_AREA_M
+from simulate.place.plan import MAX_SIDE_M
 from simulate.place.presets import PRESETS, preset
 from simulate.place.world import MAX_OBJECT_ID, World, rise
 from simulate.render.job import RenderJob, frame_path
@@ -95,7 +95,7 @@ SEEDED = [
 
 @pytest.mark.parametrize("name", SEEDED)
 def test_the_seed_decides_everything(name):
-    area = max(120.0, PRESETS[name].least_m)
+    area = max(120.0, PRESETS[name].min_side_m)
     a, b, other = (preset(name)(seed, area) for seed in (3, 3, 4))
     assert flat(a) == flat(b)
     assert flat(a.objects) != flat(other.objects)
@@ -119,9 +119,9 @@ def test_ids_are_unique_and_boxes_lie_within_the_area(place):
     assert len(set(ids)) == len(ids)
     assert 1 <= min(ids) <= max(ids) <= MAX_OBJECT_ID
     corners = np.concatenate([o.footprint() for o in world.objects])
-    assert np.abs(corners).max() <= 0.5 * world.area_m + 1.0  # wires reach between poles' middles
+    assert np.abs(corners).max() <= 0.5 * world.side_m + 1.0  # wires reach between poles' middles
     solid = [o.footprint() for o in world.objects if o.class_name != "wire"]
-    assert np.abs(np.concatenate(solid)).max() <= 0.5 * world.area_m
+    assert np.abs(np.concatenate(solid)).max() <= 0.5 * world.side_m
 
 
 def test_no_two_solid_things_intersect(place):
@@ -283,9 +283,9 @@ def test_a_place_with_too_many_things_is_refused_in_one_line(monkeypatch):
 
 
 @pytest.mark.parametrize("name", PRESETS)
-@pytest.mark.parametrize("area", [10.0, MAX_AREA_M + 1, float("nan")])
+@pytest.mark.parametrize("area", [10.0, MAX_SIDE_M + 1, float("nan")])
 def test_an_impossible_area_is_refused(name, area):
-    least = PRESETS[name].least_m
+    least = PRESETS[name].min_side_m
     with pytest.raises(InputError, match=f"area must be {least:.0f} to 2000 m a side"):
         preset(name)(1, area)
 
@@ -293,14 +293,14 @@ def test_an_impossible_area_is_refused(name, area):
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", sorted(set(PRESETS) - {"town"}))  # which other tests render
 def test_a_place_renders(name, tmp_path: Path):
-    area = max(120.0, PRESETS[name].least_m)
+    area = max(120.0, PRESETS[name].min_side_m)
     world = preset(name)(1, area)
     context = FlightContext(area, world.terrain.height, pinhole(96, 96, 80.0))
     flight = ObliqueFlight(radius_m=40.0, altitude_m=45.0)
     poses = plan_oblique(flight, context, 1, np.random.default_rng(0))
     camera = PinholeCamera(width=96, height=96, f=80.0, cx=48.0, cy=48.0)
     job = RenderJob(
-        preset=name, seed=1, area_m=area, condition="summer-noon", camera=camera, samples=1,
+        preset=name, seed=1, side_m=area, condition="summer-noon", camera=camera, samples=1,
         poses={0: poses[0].tolist()},
     )  # fmt: skip
     render(job, tmp_path)

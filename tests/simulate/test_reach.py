@@ -69,7 +69,7 @@ def test_a_picture_is_the_same_whatever_was_rendered_before_it(
     pictures = {}
     for name, frames in (("both", (0, 1)), ("alone", (1,))):
         job = RenderJob(
-            seed=3, area_m=area, condition="summer-noon", camera=CAMERA, samples=1,
+            seed=3, side_m=area, condition="summer-noon", camera=CAMERA, samples=1,
             poses={i: poses[i].tolist() for i in frames},
         )  # fmt: skip
         render(job, tmp_path / name)

@@ -46,7 +46,7 @@ def make_job(condition: str) -> RenderJob:
     oblique = plan_oblique(ObliqueFlight(radius_m=45.0, altitude_m=40.0), context, 1, rng)
     poses = np.concatenate([down, oblique])
     return RenderJob(
-        preset="town", seed=SEED, area_m=AREA, condition=condition, camera=CAMERA, samples=1,
+        preset="town", seed=SEED, side_m=AREA, condition=condition, camera=CAMERA, samples=1,
         poses={i: pose.tolist() for i, pose in enumerate(poses)},
     )  # fmt: skip
 

@@ -30,7 +30,7 @@ def frames(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, np.ndarra
     pose = np.eye(4)
     pose[:3, 3] = [-0.4, -0.3, DISTANCE]
     job = RenderJob(
-        seed=0, area_m=1, condition="summer-noon", camera=CAMERA, board=BOARD, samples=64,
+        seed=0, side_m=1, condition="summer-noon", camera=CAMERA, board=BOARD, samples=64,
         poses={k: pose.tolist() for k in range(4)}, travel=TRAVEL,
     )  # fmt: skip
     out = tmp_path_factory.mktemp("shutter")
@@ -115,6 +115,6 @@ def test_a_lens_and_a_rolling_shutter_are_one_line() -> None:
         SimulateConfig.load(
             None, {"sensor": {"readout_s": 0.03}, "camera": {"preset": "phantom-4-rtk-raw"}}
         )
-    job = {"seed": 0, "area_m": 1, "condition": "summer-noon", "camera": CAMERA, "lens": "x"}
+    job = {"seed": 0, "side_m": 1, "condition": "summer-noon", "camera": CAMERA, "lens": "x"}
     with pytest.raises(ValidationError, match="rolling shutter is not supported"):
         RenderJob(**job, poses={0: np.eye(4).tolist()}, travel={0: (1.0, 0.0, 0.0)})

@@ -59,7 +59,7 @@ def test_ids_are_unique_and_fit_blender(town):
 
 def test_boxes_lie_within_the_area(town):
     corners = np.concatenate([o.footprint() for o in town.objects])
-    assert np.abs(corners).max() <= 0.5 * town.area_m
+    assert np.abs(corners).max() <= 0.5 * town.side_m
     assert all((o.size > 0).all() for o in town.objects)
 
 

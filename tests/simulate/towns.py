@@ -9,6 +9,6 @@ from simulate.place.world import World
 
 
 @cache
-def cached_town(seed: int, area_m: float) -> World:
+def cached_town(seed: int, side_m: float) -> World:
     """Return a town, built once in a process; no test changes it."""
-    return TOWN.build(seed, area_m)
+    return TOWN.build(seed, side_m)

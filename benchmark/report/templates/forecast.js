@@ -37,7 +37,7 @@ function verdicts() {
 }
 
 function map() {
-  const side = 800, scale = side / data.area_m;
+  const side = 800, scale = side / data.side_m;
   const x = (w) => side / 2 + w.enu_m[0] * scale, y = (w) => side / 2 - w.enu_m[1] * scale;
   const picture = svg("svg", { viewBox: `0 0 ${side} ${side}`, role: "img", "aria-label": `Waypoints over the site, ${chosen}` },
     svg("image", { href: data.ground, width: side, height: side }),
@@ -53,7 +53,7 @@ function map() {
     }));
     if (!many) picture.append(svg("text", { class: "number", x: x(w), y: y(w) + 5.5 }, String(w.number)));
   }
-  const bar = 10 ** Math.floor(Math.log10(data.area_m / 3));
+  const bar = 10 ** Math.floor(Math.log10(data.side_m / 3));
   picture.append(svg("rect", { x: 14, y: side - 46, width: Math.max(bar * scale + 16, 150), height: 36, fill: "#fff", "fill-opacity": 0.8, rx: 4 }),
     svg("line", { x1: 22, x2: 22 + bar * scale, y1: side - 17, y2: side - 17, stroke: "#111", "stroke-width": 3 }),
     svg("text", { class: "size", x: 22, y: side - 24, fill: "#111" }, `${bar} m, north up`));

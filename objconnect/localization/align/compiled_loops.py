@@ -129,7 +129,7 @@ def _level(cost: LevelCost) -> records.Level:
         reference_confidence=point_confidence,
         stride=stride,
         border=np.float32(cost.border),
-        twice_scale=np.float32(2 * cost.scale**2),
+        twice_squared_scale=np.float32(2 * cost.scale**2),
         has_confidence=cost.confidence is not None,
         has_reference_confidence=cost.reference_confidence is not None,
     )

@@ -282,7 +282,8 @@ def _distort_fisheye(
 @njit(**INLINED_OPTIONS)  # type: ignore[untyped-decorator]
 def _linearise(level: Level, pose: int, points: View, out: CostArrays) -> None:
     """Write the cost around one pose, given the projections of its points."""
-    maps, stride, border, twice_scale = level.maps, level.stride, level.border, level.twice_scale
+    maps, stride, border = level.maps, level.stride, level.border
+    twice_squared_scale = level.twice_squared_scale
     width, height = maps.width, maps.height
     seen, weight, cost, point_gradient, hessian, cells = out
     last_x, last_y = np.float32(width - 1) - border, np.float32(height - 1) - border
@@ -317,9 +318,9 @@ def _linearise(level: Level, pose: int, points: View, out: CostArrays) -> None:
         _products(maps.features, cell, width, (a, b), level.reference[pose, point], gram)
         for k in range(2):
             _row(points.in_camera[point], points.jacobian[point, k], stride[k], rows[k])
-        robust = confidence / (_ONE + gram[0] / twice_scale)
+        robust = confidence / (_ONE + gram[0] / twice_squared_scale)
         seen[point], weight[point] = True, confidence
-        cost[point] = twice_scale * np.log1p(gram[0] / twice_scale)
+        cost[point] = twice_squared_scale * np.log1p(gram[0] / twice_squared_scale)
         gx, gy = robust * gram[1], robust * gram[2]
         gxx, gxy, gyy = robust * gram[3], robust * gram[4], robust * gram[5]
         for i in range(6):

@@ -1,10 +1,11 @@
 """Records of arrays that compiled loops read and write, for M poses with N points each.
 
-Numba's cache notices changes of ``kernels.py`` alone. After a change of the order of fields here,
+Numba's cache is renewed only if ``kernels.py`` changes. After a change of the order of fields here,
 touch that file.
 
-Numba cannot read a cache that names a missing class, and it names the cache after the first line
-of ``kernels.descend``: after a class is renamed here, move that function to another line.
+A cached loop that refers to a class that no longer exists cannot be loaded. The name of the cache
+file contains the line number of ``kernels.descend``. After renaming a class here, move that
+function to another line, so that Numba writes a new file.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ class Level(NamedTuple):
         reference_confidence: (M, N) confidence of the points; a single number if unknown.
         stride: (2,) pixels per cell, x and y.
         border: cells at the edge of a map in which points do not count.
-        twice_scale: twice the squared scale of the robust cost.
+        twice_squared_scale: twice the squared scale of the robust cost.
         has_confidence: whether the confidence of the queries is known.
         has_reference_confidence: whether the confidence of the points is known.
     """
@@ -56,7 +57,7 @@ class Level(NamedTuple):
     reference_confidence: Singles
     stride: Singles
     border: np.float32
-    twice_scale: np.float32
+    twice_squared_scale: np.float32
     has_confidence: bool
     has_reference_confidence: bool
 

@@ -14,7 +14,7 @@ from objconnect.scene.storage.atomic import write_text
 
 
 class CalibrationFile(Config):
-    """Calibration numbers of one network: ``own.KIND.yaml`` beside ``own.safetensors``.
+    """Calibration numbers of one network: ``NAME.KIND.yaml`` beside its ``NAME.safetensors``.
 
     The shipped networks share one file, ``KIND.yaml`` beside this module.
     """

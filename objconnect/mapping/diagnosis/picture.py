@@ -1,4 +1,7 @@
-"""Draw map points and objects without points over a photograph (object-connect paper, Fig. 1)."""
+"""Draw the map points that a photograph observes over it, and outline its objects.
+
+Objects with a point are green, objects without one red, as in Fig. 1 of the object-connect paper.
+"""
 
 from __future__ import annotations
 

@@ -90,7 +90,7 @@ def take_photographs(
     test_camera = camera.resize(_TEST_SIDE, _TEST_SIDE)
     heights = heights_of(options, max(other.surface.colours.grid.ground_pixel))
     rng = np.random.default_rng(options.seed)
-    taken = 0
+    drawn = 0
     with progress_bar("queries", options.queries) as advance:
         for _ in range(_MAX_TRIES * options.queries):
             height = float(rng.uniform(*heights))
@@ -106,12 +106,12 @@ def take_photographs(
                 continue
             rgb = other.surface.render(camera, pose, MAX_DEPTH_ALTITUDES * height).rgb
             yield Photograph(expose(rgb, options, rng), Pose.from_matrix(pose), height)
-            taken += 1
-            advance(taken)
-            if taken == options.queries:
+            drawn += 1
+            advance(drawn)
+            if drawn == options.queries:
                 return
     raise InputError(
-        f"only {taken} of {options.queries} queries from {heights[0]:.0f} to {heights[1]:.0f} m "
+        f"only {drawn} of {options.queries} queries from {heights[0]:.0f} to {heights[1]:.0f} m "
         "above the ground lie within both orthophotos: choose a smaller height_m, or larger files"
     )
 

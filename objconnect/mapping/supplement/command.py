@@ -49,8 +49,8 @@ def supplement(
 
     Args:
         path: finished scene with a map.
-        weights: weights of an object-connect network, whose object centres are added to the blobs;
-            None for none.
+        weights: weights of an object-connect network; the object centres that it detects are
+            candidates in addition to blobs (differences of Gaussians). None uses blobs alone.
         masks: masks of objects in the map's photographs, as ``read_masks`` takes them; None for
             none.
 

@@ -23,7 +23,7 @@ from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.errors import InputError
 from objconnect.scene.exports.depth_views import DepthView, depth_views
 from objconnect.scene.geo.crs import Projection
-from objconnect.scene.geo.grids import units_of_metre
+from objconnect.scene.geo.grids import scale_factors
 from objconnect.scene.geo.local_coordinates import LocalProjection
 from objconnect.scene.geo.rasters import Box, Grid, Patch, raster_writer
 from objconnect.scene.geometry.geodesy import Geodetic
@@ -90,7 +90,7 @@ def write(
     local = LocalProjection.fit(projection, origin, low, high)
     boxes = [_box(local.coordinates(points)) for points in surfaces]
     resolution = resolution or _median_pixel(views, surfaces)
-    pixel = max(units_of_metre(projection, origin)) * resolution
+    pixel = max(scale_factors(projection, origin)) * resolution
     grid = _grid(projection, boxes, pixel)
     _write(folder, grid, local, views, boxes)
 

@@ -15,7 +15,7 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic
 from objconnect.scene.localizer import Prior
 from objconnect.scene.maps.sparse_map import SparseMap
-from objconnect.scene.quantities.position_columns import Frame
+from objconnect.scene.quantities.position_columns import CoordinateFrame
 
 log = logging.getLogger(__name__)
 
@@ -40,7 +40,7 @@ class StatedPrior:
     """
 
     where: str
-    frame: Frame
+    frame: CoordinateFrame
     horizontal: tuple[float, float]
     vertical: float | None
     sigma_m: float | None
@@ -78,7 +78,7 @@ class MapFrame:
         first, second = stated.horizontal
         up = self.middle[2] if stated.vertical is None else stated.vertical
         position = np.array([first, second, up])
-        if stated.frame is Frame.EARTH:
+        if stated.frame is CoordinateFrame.EARTH:
             if self.origin is None:
                 raise InputError(
                     f"{stated.where}: latitude and longitude cannot be used, because the map has "
@@ -100,7 +100,7 @@ class MapFrame:
             return
         remedy = (
             "check whether lat and lon are exchanged, and whether this is the right map"
-            if stated.frame is Frame.EARTH
+            if stated.frame is CoordinateFrame.EARTH
             else "e, n, u are metres in the map's frame, not eastings and northings of a grid"
         )
         raise InputError(

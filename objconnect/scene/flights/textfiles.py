@@ -21,7 +21,7 @@ from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.maps.colmap_files import check_pose
 from objconnect.scene.quantities.position_columns import (
     POSITION_COLUMNS,
-    Frame,
+    CoordinateFrame,
     PositionColumns,
     position_columns,
 )
@@ -207,7 +207,7 @@ def _parse_prior(where: str, row: Mapping[str, str], columns: PositionColumns) -
         raise InputError(f"{where}: the column of {row['']!r} has no name")
     first, second = (float(x) for x in _numbers(where, [row[name] for name in columns.horizontal]))
     vertical = None if columns.vertical is None else _parse_number(where, row, columns.vertical)
-    if columns.frame is Frame.MAP:
+    if columns.frame is CoordinateFrame.MAP:
         if max(abs(first), abs(second), abs(vertical or 0.0)) > FARTHEST_M:
             raise InputError(
                 f"{where}: {row['name']} lies more than {FARTHEST_M:g} m away from the map's origin"

@@ -125,9 +125,10 @@ class Projection:
         return float(units[0]) if units else None
 
     def scale_at(self, place: Geodetic) -> tuple[float, float]:
-        """Return the units of the system per metre on the ground, along its east and north.
+        """Return the scale factors along the system's east and north at a position.
 
-        They are close to 1 in survey grids, and 1 / cos(latitude) in Web Mercator.
+        A scale factor is the number of the system's units per metre on the ground. It is close to 1
+        in survey grids, and 1 / cos(latitude) in Web Mercator.
 
         Raises:
             InputError: the place lies outside the system's range.

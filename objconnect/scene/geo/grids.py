@@ -17,12 +17,13 @@ from objconnect.scene.geometry.geodesy import Geodetic
 _MAX_SURVEY_ERROR = 0.01
 
 
-def units_of_metre(projection: Projection, place: Geodetic) -> tuple[float, float]:
-    """Return the units of a system per metre on the ground, along east and north, at a place.
+def scale_factors(projection: Projection, position: Geodetic) -> tuple[float, float]:
+    """Return the scale factors of a projection along east and north at a position.
 
-    They are exactly 1 if they are within 1 %, as in survey grids.
+    A scale factor is the number of coordinate metres per metre on the ground. If both factors are
+    within 1 % of 1, as in survey grids, exactly 1 is returned for both.
     """
-    scale = projection.scale_at(place)
+    scale = projection.scale_at(position)
     return (1.0, 1.0) if max(abs(math.log(x)) for x in scale) < _MAX_SURVEY_ERROR else scale
 
 
@@ -74,7 +75,7 @@ class Grid:
 
         They equal ``pixel`` if the difference is below 1 %, as in survey grids.
         """
-        scale = units_of_metre(self.projection, self.middle)
+        scale = scale_factors(self.projection, self.middle)
         return self.pixel[0] / scale[0], self.pixel[1] / scale[1]
 
     @property

@@ -59,18 +59,19 @@ def estimate_correlation(
         return uncorrelated
     order = np.argsort(xy[:, 0], kind="stable")
     xy, residuals, jacobian = xy[order], residuals[order], jacobian[order]
-    # The fit lowers the covariance of two residuals by the product of their rows of this matrix.
+    # The fit lowers the covariance of two residuals, in units of their variance, by the product of
+    # their rows of this matrix.
     leverage = np.linalg.qr(jacobian.reshape(-1, parameters))[0].reshape(len(xy), -1)
-    product, loss, norm, information = 0.0, 0.0, 0.0, uncorrelated.information
+    product, lost_to_fit, norm, information = 0.0, 0.0, 0.0, uncorrelated.information
     for rows, columns, weight in _pairs(xy, reach):
         product += float((weight * (residuals[rows] @ residuals[columns].T)).sum())
-        loss += float((weight * (leverage[rows] @ leverage[columns].T)).sum())
+        lost_to_fit += float((weight * (leverage[rows] @ leverage[columns].T)).sum())
         norm += float((weight**2).sum())
         for axis in range(2):
             information = information + jacobian[rows, axis].T @ weight @ jacobian[columns, axis]
     if norm == 0:
         return uncorrelated
-    correlation = (product / variance + loss) / (2 * norm)
+    correlation = (product / variance + lost_to_fit) / (2 * norm)
     return NeighbourCorrelation(float(np.clip(correlation, 0, 1)), information)
 
 

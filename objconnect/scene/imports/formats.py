@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final
 
 from objconnect.scene.errors import InputError
-from objconnect.scene.imports.poses import ForeignPoses, Format, Frame
+from objconnect.scene.imports.poses import CoordinateFrame, ForeignPoses, Format
 from objconnect.scene.imports.unsupported import refuse_unsupported
 from objconnect.scene.registry import Lazy, Registry
 
@@ -37,7 +37,7 @@ FRAMELESS_FILES: Final = "a reconstruction.json of ODM or OpenSfM"
 """Phrase for the files that do not state the frame of their poses, so that the user may."""
 
 
-def read_foreign(path: Path, frame: Frame | None = None) -> ForeignPoses:
+def read_foreign(path: Path, frame: CoordinateFrame | None = None) -> ForeignPoses:
     """Read poses from a file or folder in any registered format.
 
     Args:

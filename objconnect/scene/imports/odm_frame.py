@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from objconnect.scene.errors import InputError
 from objconnect.scene.geo.named_systems import NamedSystem, parse_system
 from objconnect.scene.geometry.geodesy import FARTHEST_M, Geodetic, geodetic_from_enu, is_same_place
-from objconnect.scene.imports.poses import Frame
+from objconnect.scene.imports.poses import CoordinateFrame
 from objconnect.scene.quantities.horizontal_axes import Axes, convergence, infer_axes, utm_zone
 from objconnect.scene.quantities.reading import Reading, known, unknown
 from objconnect.scene.storage.files import read_text
@@ -37,11 +37,14 @@ TOPOCENTRIC: Final = "reconstruction.topocentric.json"
 """ODM's name of the reconstruction in metres east, north and up."""
 
 _REMEDY: Final = f"give ODM's {TOPOCENTRIC}, or keep odm_georeferencing/coords.txt in its project"
-_FRAME_OF_NAME: Final[dict[str, Frame]] = {
+_FRAME_OF_NAME: Final[dict[str, CoordinateFrame]] = {
     TOPOCENTRIC: "topocentric",
     "reconstruction.geocoords.json": "projected",  # of export_geocoords
 }
-_FRAME_OF_AXES: Final[dict[Axes, Frame]] = {"east and north": "topocentric", "grid": "projected"}
+_FRAME_OF_AXES: Final[dict[Axes, CoordinateFrame]] = {
+    "east and north": "topocentric",
+    "grid": "projected",
+}
 _OPTION: Final = "--poses-frame"
 # A folder of plain OpenSfM has all of these; ODM has a list of photographs instead of images.
 _OPENSFM_FILES: Final = ("images", "exif", "camera_models.json")
@@ -71,7 +74,7 @@ class Shots:
     world_from_cam: Array
     measured: Array
     origin: Geodetic
-    frame: Frame | None = None
+    frame: CoordinateFrame | None = None
 
     @property
     def centres(self) -> Array:
@@ -80,7 +83,7 @@ class Shots:
 
 
 def topocentric(
-    path: Path, shots: Shots, sibling: Shots | None, stated: Frame | None = None
+    path: Path, shots: Shots, sibling: Shots | None, stated: CoordinateFrame | None = None
 ) -> Shots:
     """Return shots in metres east, north and up from their origin.
 
@@ -124,7 +127,9 @@ def _require_near_origin(path: Path, shots: Shots) -> Shots:
     return shots
 
 
-def _from_sibling(path: Path, shots: Shots, sibling: Shots, stated: Frame | None) -> Shots | None:
+def _from_sibling(
+    path: Path, shots: Shots, sibling: Shots, stated: CoordinateFrame | None
+) -> Shots | None:
     """Return the shots with the poses of the topocentric file; None if that lacks a shot."""
     row = {name: k for k, name in enumerate(sibling.names)}
     if not set(shots.names) <= row.keys():
@@ -194,7 +199,7 @@ def _read_system(file: Path) -> tuple[NamedSystem, Array]:
 
 
 def _from_system(
-    path: Path, shots: Shots, system: NamedSystem, offset: Array, stated: Frame | None
+    path: Path, shots: Shots, system: NamedSystem, offset: Array, stated: CoordinateFrame | None
 ) -> Shots:
     """Return the shots with ODM's transform undone, if the file was transformed."""
     linear, shift = _export_transform(path, shots.origin, system, offset)
@@ -235,7 +240,7 @@ def _undo_transform(shots: Shots, linear: Array, shift: Array) -> Shots:
     return replace(shots, world_from_cam=world_from_cam)
 
 
-def _check_without_coords(path: Path, shots: Shots, stated: Frame | None) -> Shots:
+def _check_without_coords(path: Path, shots: Shots, stated: CoordinateFrame | None) -> Shots:
     """Check the frame of a file without coords.txt beside it, or whose name states the frame."""
     _require_near_origin(path, shots)
     zone = utm_zone(shots.origin.longitude)
@@ -250,8 +255,8 @@ def _check_without_coords(path: Path, shots: Shots, stated: Frame | None) -> Sho
 
 
 def _find_frame(
-    path: Path, shots: Shots, turn: float, stated: Frame | None, grid: str
-) -> Reading[Frame]:
+    path: Path, shots: Shots, turn: float, stated: CoordinateFrame | None, grid: str
+) -> Reading[CoordinateFrame]:
     """Return the frame of a file on which all sources agree.
 
     Args:
@@ -291,7 +296,9 @@ def _find_frame(
     return frame
 
 
-def _require_agreement(path: Path, sources: Mapping[str, Frame | None]) -> Reading[Frame]:
+def _require_agreement(
+    path: Path, sources: Mapping[str, CoordinateFrame | None]
+) -> Reading[CoordinateFrame]:
     """Return the frame that the sources state; unknown if none states one.
 
     Raises:

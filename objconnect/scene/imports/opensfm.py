@@ -23,7 +23,13 @@ from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.geodesy import Geodetic, is_on_earth, is_same_place
 from objconnect.scene.imports.lens import LARGEST_SIDE, LONGEST_FOCAL, BrownLens, require_inside
 from objconnect.scene.imports.odm_frame import TOPOCENTRIC, Shots, topocentric
-from objconnect.scene.imports.poses import ForeignPoses, Format, Frame, begins_with, check_poses
+from objconnect.scene.imports.poses import (
+    CoordinateFrame,
+    ForeignPoses,
+    Format,
+    begins_with,
+    check_poses,
+)
 
 log = logging.getLogger(__name__)
 
@@ -99,14 +105,14 @@ class _Reconstruction(_Part):
     cameras: dict[str, _Lens]
     shots: dict[str, _Shot]
     reference_lla: _Reference | None = None
-    frame: Literal["topocentric"] | None = None  # of this project's own exports
+    frame: Literal["topocentric"] | None = None  # written only by this project's own exports
 
 
 class _Reconstructions(RootModel[list[_Reconstruction]]):
     pass
 
 
-def _read(path: Path, frame: Frame | None = None) -> ForeignPoses:
+def _read(path: Path, frame: CoordinateFrame | None = None) -> ForeignPoses:
     """Read the largest reconstruction; the others have frames of their own."""
     reconstructions = read_json(path, _Reconstructions, "reconstruction").root
     if not reconstructions:

@@ -14,8 +14,9 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.geodesy import FARTHEST_M, Geodetic
 
-Frame = Literal["topocentric", "projected"]
-"""Metres east, north and up of a place, or coordinates of a projected system, such as UTM."""
+CoordinateFrame = Literal["topocentric", "projected"]
+"""The coordinate frame of poses: metres east, north and up of an origin, or coordinates of a
+projected system, such as UTM."""
 
 # Largest deviation of a rotation matrix from orthonormal rows; files hold six digits or more.
 _ROTATION_TOLERANCE = 1e-3
@@ -31,8 +32,8 @@ class ForeignPoses:
         cameras: calibrated camera of each photograph; None if the file has none.
         cam_from_world: (N, 4, 4) float64, OpenCV axes; NaN if the file has positions only.
         positions: camera centres, (N, 3) float64 in the file's world.
-        origin: geodetic origin of a world that is east-north-up in metres; None if the file has
-            none, when scale and vertical of its world may be arbitrary.
+        origin: geodetic origin of a world that is east-north-up in metres; None if the file states
+            no origin. Scale and vertical direction of the world may then be arbitrary.
     """
 
     names: tuple[str, ...]
@@ -59,14 +60,14 @@ class Format:
             bytes.
         read: reads a path, and raises InputError for a missing or invalid file.
         description: phrase for such a file or folder in error messages.
-        read_in_frame: reads a path with the frame that the user states; None if the frame of the
-            format is always known.
+        read_in_frame: reads a path with the coordinate frame that the user states; None if the
+            format determines the frame.
     """
 
     matches: Callable[[Path], bool]
     read: Callable[[Path], ForeignPoses]
     description: str
-    read_in_frame: Callable[[Path, Frame | None], ForeignPoses] | None = None
+    read_in_frame: Callable[[Path, CoordinateFrame | None], ForeignPoses] | None = None
 
 
 def check_poses(

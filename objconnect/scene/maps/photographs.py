@@ -35,8 +35,8 @@ class Photograph:
         lens: name of the lens; photographs of one lens share one camera.
         calibrated: whether ``camera`` is exact and must not be refined.
         focal_known: whether the focal length of ``camera`` is known, for example from EXIF.
-        focal_doubt: why EXIF and XMP do not determine the focal length; empty if they have no
-            such field.
+        focal_doubt: what is unreliable or contradictory in the focal length of EXIF and XMP; empty
+            if it is known or if no field states it.
     """
 
     name: str

@@ -43,7 +43,8 @@ def describe_collar(strips: Iterable[NDArray[np.float32]]) -> str | None:
     for value, name in _COLOURS.items():
         if count[value] > _SHARE * total and edge_count[value] > _EDGE_SHARE * edge_total:
             return (
-                f"{100 * count[value] / total:.0f} % of the pixels are {name}, also at the edge: "
-                f"if they are no data, gdal_edit -a_nodata {value} declares it"
+                f"{100 * count[value] / total:.0f} % of the pixels are {name}, and {name} pixels "
+                f"lie at the edge: if {name} means no data, declare that with: gdal_edit "
+                f"-a_nodata {value} FILE"
             )
     return None

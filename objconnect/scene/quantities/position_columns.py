@@ -10,7 +10,7 @@ from typing import Final
 from objconnect.scene.quantities.reading import Reading, known, unknown
 
 
-class Frame(StrEnum):
+class CoordinateFrame(StrEnum):
     """The coordinate frame of a position."""
 
     MAP = "the map"
@@ -20,8 +20,8 @@ class Frame(StrEnum):
 # Accepted column names by frame and axis. Names without a frame (x) or with another unit (alt_ft)
 # are not accepted.
 _AXES: Final = {
-    Frame.MAP: (("e", "e_m"), ("n", "n_m"), ("u", "u_m")),
-    Frame.EARTH: (
+    CoordinateFrame.MAP: (("e", "e_m"), ("n", "n_m"), ("u", "u_m")),
+    CoordinateFrame.EARTH: (
         ("lat", "latitude", "lat_deg", "latitude_deg"),
         ("lon", "longitude", "lon_deg", "longitude_deg"),
         ("alt", "altitude", "alt_m", "altitude_m"),
@@ -50,7 +50,7 @@ class PositionColumns:
         vertical: column of the height in metres; None if the table has none.
     """
 
-    frame: Frame
+    frame: CoordinateFrame
     horizontal: tuple[str, str]
     vertical: str | None
 
@@ -66,8 +66,9 @@ def position_columns(header: Sequence[str], others: Collection[str]) -> Reading[
         others: names of known columns that hold no position.
 
     Examples:
-        >>> position_columns(["name", "lat", "lon"], ["name"]).value
-        PositionColumns(frame=<Frame.EARTH: 'the earth'>, horizontal=('lat', 'lon'), vertical=None)
+        >>> columns = position_columns(["name", "lat", "lon"], ["name"]).value
+        >>> columns.frame, columns.horizontal, columns.vertical
+        (<CoordinateFrame.EARTH: 'the earth'>, ('lat', 'lon'), None)
         >>> position_columns(["name", "lat", "lon", "alt_ft"], ["name"]).why
         "the column 'alt_ft' has no known meaning or unit"
     """
@@ -76,7 +77,7 @@ def position_columns(header: Sequence[str], others: Collection[str]) -> Reading[
         for name in header
         if name and name not in _FRAME_AND_AXIS and name not in others
     ]
-    named: dict[Frame, dict[int, str]] = {}
+    named: dict[CoordinateFrame, dict[int, str]] = {}
     for name in header:
         if name in _FRAME_AND_AXIS:
             frame, axis = _FRAME_AND_AXIS[name]

@@ -127,7 +127,7 @@ def test_the_doctor_finds_the_weights_of_the_wheel(from_wheel: Environment, tmp_
     assert str(from_wheel.ours) in checks["objconnect"]["found"]
     weights = {path.stem for p in PACKAGES for path in (ROOT / p).rglob("*.safetensors")}
     assert {f"weights {name}" for name in weights} <= set(checks)
-    assert {checks[f"weights {name}"]["found"] for name in weights} == {"whole"}
+    assert {checks[f"weights {name}"]["found"] for name in weights} == {"complete"}
     # Of the metadata: there is no pyproject.toml beside what is installed.
     assert checks["pycolmap"]["state"] == checks["torch"]["state"] == "ok"
     code = (

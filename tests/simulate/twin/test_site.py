@@ -368,7 +368,7 @@ def test_a_surveyed_place_is_kept(site: tuple[World, SiteReport], tmp_path: Path
     assert (again.ground.labels == world.ground.labels).all()
     assert (again.imagery.albedo == world.imagery.albedo).all()
     np.testing.assert_array_equal(again.terrain.nodes, world.terrain.nodes)
-    assert (again.area_m, again.margin_m) == (world.area_m, world.margin_m)
+    assert (again.side_m, again.margin_m) == (world.side_m, world.margin_m)
     path.write_bytes(path.read_bytes()[:2000])
     with pytest.raises(InputError, match=r"place\.npz is missing or damaged"):
         load_site(path, 0)

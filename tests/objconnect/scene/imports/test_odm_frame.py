@@ -12,7 +12,7 @@ import pytest
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.geodesy import Geodetic
 from objconnect.scene.imports.formats import read_foreign
-from objconnect.scene.imports.poses import Frame
+from objconnect.scene.imports.poses import CoordinateFrame
 from objconnect.scene.quantities.horizontal_axes import convergence, infer_axes, utm_zone
 from tests.objconnect.scene.imports.made_models import (
     Truth,
@@ -55,7 +55,7 @@ def odm(tmp_path: Path, request: pytest.FixtureRequest) -> tuple[Path, Truth]:
     return path, truth
 
 
-def assert_true(path: Path, truth: Truth, frame: Frame | None = None) -> None:
+def assert_true(path: Path, truth: Truth, frame: CoordinateFrame | None = None) -> None:
     poses = read_foreign(path, frame)
     assert poses.origin == truth.origin
     np.testing.assert_allclose(poses.positions, truth.world_from_cam[:, :3, 3], atol=1e-3)
@@ -121,7 +121,7 @@ def test_a_stated_frame_contradicts_what_the_files_show(
     first = path.with_name("reconstruction.topocentric.json")
     if made == "first":
         path.write_text(shots_of(truth, truth.world_from_cam, gps))
-    frames: tuple[Frame, Frame] = ("topocentric", "projected")
+    frames: tuple[CoordinateFrame, CoordinateFrame] = ("topocentric", "projected")
     right, wrong = frames if made == "first" else frames[::-1]
     assert_true(path, truth, right)
     with pytest.raises(InputError, match=f"are {right} by .*beside it, but {wrong} by --poses-f"):

@@ -4,23 +4,35 @@ from __future__ import annotations
 
 import pytest
 
-from objconnect.scene.quantities.position_columns import Frame, position_columns
+from objconnect.scene.quantities.position_columns import CoordinateFrame, position_columns
+
+MAP, EARTH = CoordinateFrame
 
 
 @pytest.mark.parametrize(
     ("header", "frame", "horizontal", "vertical"),
     [
-        ("name,e,n,u", Frame.MAP, ("e", "n"), "u"),
-        ("u_m,n_m,e_m,name", Frame.MAP, ("e_m", "n_m"), "u_m"),
-        ("name,e,n", Frame.MAP, ("e", "n"), None),
-        ("name,lat,lon,alt", Frame.EARTH, ("lat", "lon"), "alt"),
-        ("lon,lat,name", Frame.EARTH, ("lat", "lon"), None),
-        ("name,longitude,latitude,altitude", Frame.EARTH, ("latitude", "longitude"), "altitude"),
-        ("name,lat_deg,lon_deg,altitude_m,", Frame.EARTH, ("lat_deg", "lon_deg"), "altitude_m"),
+        ("name,e,n,u", MAP, ("e", "n"), "u"),
+        ("u_m,n_m,e_m,name", MAP, ("e_m", "n_m"), "u_m"),
+        ("name,e,n", MAP, ("e", "n"), None),
+        ("name,lat,lon,alt", EARTH, ("lat", "lon"), "alt"),
+        ("lon,lat,name", EARTH, ("lat", "lon"), None),
+        (
+            "name,longitude,latitude,altitude",
+            EARTH,
+            ("latitude", "longitude"),
+            "altitude",
+        ),
+        (
+            "name,lat_deg,lon_deg,altitude_m,",
+            EARTH,
+            ("lat_deg", "lon_deg"),
+            "altitude_m",
+        ),
     ],
 )
 def test_the_frame_is_told_by_name(
-    header: str, frame: Frame, horizontal: tuple[str, str], vertical: str | None
+    header: str, frame: CoordinateFrame, horizontal: tuple[str, str], vertical: str | None
 ) -> None:
     found = position_columns(header.split(","), ["name"]).value
     assert found is not None
