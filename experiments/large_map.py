@@ -165,7 +165,7 @@ def localizer_of(folder: Path, flight: Flight, method: str, options: dict[str, A
     localizer = create(method, options)
     if isinstance(localizer, StructureLocalizer):
         known = {f"{k:02d}.png": item for k, item in enumerate(flight.features)}
-        localizer._extractor.of_photographs = (  # type: ignore[method-assign]
+        localizer._extractor.extract_photographs = (  # type: ignore[method-assign]
             lambda _, names, *__: {name: known[name.split("/")[1]] for name in names}
         )
     if isinstance(localizer, FeaturemetricLocalizer):

@@ -37,7 +37,7 @@ from objconnect.network.network import ObjConnectNet, read_network
 from objconnect.network.object_map import ObjectFinder, map_ground
 from objconnect.network.object_matching import ObjectMatcher
 from objconnect.network.objects import centres, occupancy
-from objconnect.network.segmentation import at_level, segment
+from objconnect.network.segmentation import sample_cells, segment
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.storage.images import read_rgb
@@ -61,7 +61,7 @@ class SegmentFinder(ObjectFinder):
     def detect(self, picture: NDArray[np.uint8], maps: DetectorMaps) -> Detections:
         """See ``ObjectFinder``."""
         image = torch.from_numpy(picture.astype(np.float32)).permute(2, 0, 1)[None] / 255
-        labels = at_level(segment(image, self._config), image, maps.centre, self._stride)
+        labels = sample_cells(segment(image, self._config), image, maps.centre, self._stride)
         objects = occupancy(labels, self._config.segments)
         present = objects.present[0]
         rows = maps.vector.permute(0, 2, 3, 1).flatten(1, 2)

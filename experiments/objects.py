@@ -41,7 +41,7 @@ from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import ObjConnectNet, read_network
 from objconnect.network.object_map import ObjectFinder, map_ground
 from objconnect.network.object_matching import ObjectMatcher, describe_landmarks
-from objconnect.network.segmentation import at_pixels, segment
+from objconnect.network.segmentation import sample_pixels, segment
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.storage.images import read_rgb
@@ -99,8 +99,8 @@ def measure_segments(network: ObjConnectNet, scenes: Sequence[Scene], session: s
             a, b, shape = common_pixels(scene, *pair)
             for kind, (first, second) in labels.items():
                 image = torch.zeros(1, 3, *shape)
-                in_a = at_pixels(first[None], image, a[None])[0].numpy()
-                in_b = at_pixels(second[None], image, b[None])[0].numpy()
+                in_a = sample_pixels(first[None], image, a[None])[0].numpy()
+                in_b = sample_pixels(second[None], image, b[None])[0].numpy()
                 kinds.setdefault(kind, []).extend(best_overlaps(in_a, in_b).tolist())
             for size, found in find_in_both(network, scene, *pair):
                 sizes.setdefault(size, []).append(found)

@@ -65,7 +65,7 @@ class Run:
         clock, processor = time.perf_counter(), time.process_time()
         query = Query(frame.path.name, read_rgb(frame.path), frame.camera, prior)
         estimate = self.tracker.localize(query, frame.seconds)
-        self.tracker.take(estimate, frame.seconds)
+        self.tracker.update(estimate, frame.seconds)
         self.clock.append(time.perf_counter() - clock)
         self.processor.append(time.process_time() - processor)
         error = (np.inf, np.inf)

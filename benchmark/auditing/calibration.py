@@ -202,9 +202,9 @@ def _check_focal(
                 FOCAL, f"within {abs(error):.2%} of the best fit (±{sigma:.2%})", **figures
             )
     ratios = [
-        max(camera.focal) / (tags.focal_ratio * max(camera.width, camera.height))
+        max(camera.focal) / (tags.relative_focal * max(camera.width, camera.height))
         for camera, tags in zip(cameras, exif, strict=False)
-        if camera is not None and tags is not None and tags.focal_ratio is not None
+        if camera is not None and tags is not None and tags.relative_focal is not None
     ]
     if not ratios:
         return unknown(FOCAL, "neither matches nor EXIF determine them")

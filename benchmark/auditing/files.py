@@ -143,9 +143,9 @@ def _fit_camera(
     if size is None:
         return camera
     if camera is None:
-        if exif is None or exif.focal_ratio is None:
+        if exif is None or exif.relative_focal is None:
             return None
-        focal = exif.focal_ratio * max(size)
+        focal = exif.relative_focal * max(size)
         return Camera("SIMPLE_PINHOLE", *size, (focal, size[0] / 2, size[1] / 2))
     if size == (camera.width, camera.height):
         return camera

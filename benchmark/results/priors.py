@@ -15,7 +15,7 @@ from benchmark.results.query_result import QueryResult
 _EXACT: Final = re.compile(r"(?:error|gps)=([0-9]+(?:\.[0-9]+)?)m(?:,.*)?")
 
 
-def with_prior_errors(queries: Sequence[QueryResult], start: str) -> tuple[QueryResult, ...]:
+def add_prior_errors(queries: Sequence[QueryResult], start: str) -> tuple[QueryResult, ...]:
     """Return queries with the errors of their priors.
 
     Args:

@@ -9,7 +9,7 @@ from typing import Literal
 from pydantic import Field
 
 from benchmark.datasets.dataset import Dataset
-from benchmark.results.priors import with_prior_errors
+from benchmark.results.priors import add_prior_errors
 from benchmark.results.query_result import QueryResult
 from benchmark.scoring.summary import Summary, summarize, summarize_parts
 from objconnect.localization.provenance import Environment, Method
@@ -93,7 +93,7 @@ class Results(Record):
             prepare: seconds of the preparation.
             peak_memory_mb: peak memory (1e6 bytes); None if unknown.
         """
-        queries = with_prior_errors(queries, start)
+        queries = add_prior_errors(queries, start)
         run = prepare, peak_memory_mb, dataset.unjudged
         return Results(
             method=method,
@@ -119,7 +119,7 @@ def rescore(results: Results) -> Results:
 
     Queries of earlier versions get the errors of their priors from the start.
     """
-    queries = with_prior_errors(results.queries, results.start)
+    queries = add_prior_errors(results.queries, results.start)
     summary = results.summary
     run = summary.seconds.prepare, summary.peak_memory_mb, results.dataset.unjudged
     return results.model_copy(

@@ -21,9 +21,9 @@ from objconnect.scene.quantities.coordinate_order import (
     Order,
     Pair,
     PairedTrack,
+    drop_jumps,
     infer_order,
     to_lat_lon,
-    without_jumps,
 )
 from objconnect.scene.quantities.decimal_marks import DecimalMarks
 
@@ -88,7 +88,7 @@ def parse_positions(
             pair = fixes[row].pair
             if order.value is not None and pair is not None:
                 positions[row] = to_lat_lon(pair, order.value)
-    kept = without_jumps(seconds, positions)
+    kept = drop_jumps(seconds, positions)
     lost = [row for row, fix in enumerate(positions) if fix is not None and kept[row] is None]
     doubt_of |= dict.fromkeys(lost, "its position is out of a drone's reach")
     if lost:

@@ -28,7 +28,7 @@ SESSION = "flight"
 """Name of the session of ingested photographs."""
 
 _ENDINGS = (".jpg", ".jpeg")
-# Initial focal ratio f / max(w, h) of images without a focal length in EXIF; COLMAP's default.
+# Initial relative focal length f / max(w, h) of images without one in EXIF; COLMAP's default.
 _GUESSED_FOCAL: Final = 1.2
 
 
@@ -215,7 +215,7 @@ def make_photographs(
     """
     photographs = []
     for image in images:
-        focal = image.exif.focal_ratio
+        focal = image.exif.relative_focal
         if calibration is None:
             width, height = reduce_size(image, longest)
             likely = image.exif.focals[0] if image.exif.focals else _GUESSED_FOCAL

@@ -166,7 +166,7 @@ def _is_empty(item: Telemetry) -> bool:
     return all(part is None for part in (item.place, item.gimbal, item.abs_alt, item.rel_alt))
 
 
-def at_time(
+def find_telemetry(
     flight: Sequence[Telemetry], seconds: float, max_age_s: float = 1.0
 ) -> Telemetry | None:
     """Return the telemetry at a time of the video.

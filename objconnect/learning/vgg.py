@@ -83,13 +83,13 @@ def encode(encoder: nn.ModuleList, image: Tensor, finest: int = 1) -> list[Tenso
     return blocks
 
 
-def in_unit(image: Tensor) -> Tensor:
+def scale_to_unit(image: Tensor) -> Tensor:
     """Return images in 0..1, converted from bytes if necessary."""
     return image / 255 if image.dtype == torch.uint8 else image
 
 
 def _normalise(image: Tensor) -> Tensor:
-    image = in_unit(image)
+    image = scale_to_unit(image)
     mean, std = image.new_tensor([IMAGENET_MEAN, IMAGENET_STD])[..., None, None]
     return torch.addcmul(-mean / std, image, 1 / std)  # in one pass
 

@@ -53,7 +53,7 @@ class ObjConnectLocalizer(FeaturemetricLocalizer):
     def __init__(self, config: ObjConnectConfig) -> None:
         path = config.weights or shipped_path(SHIPPED)
         network, digest = read_network(path)
-        config = _with_available_objects(config.in_effect(), network, path)
+        config = _with_available_objects(config.drop_ineffective(), network, path)
         network.to(torch_device(config.device))
         fuse_layers(network, config.precision)
         search, self.objects = None, "none"

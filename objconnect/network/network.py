@@ -18,7 +18,7 @@ import objconnect.learning.unet as unet
 from objconnect.learning.checkpoint import load_into, read_weights
 from objconnect.learning.damping import Damping
 from objconnect.learning.training.contrastive import sample
-from objconnect.learning.vgg import encode, in_unit, keep_variance, vgg16_encoder
+from objconnect.learning.vgg import encode, keep_variance, scale_to_unit, vgg16_encoder
 from objconnect.network.config import ObjConnectNetConfig
 from objconnect.network.constellation import ConstellationGraph
 from objconnect.network.detector import (
@@ -31,7 +31,7 @@ from objconnect.network.detector import (
 from objconnect.network.fpn import FeaturePyramid
 from objconnect.network.graph import ObjectGraph, SceneGraph
 from objconnect.network.objects import Attention, Objects, Occupancy, centres, occupancy
-from objconnect.network.segmentation import at_level, segment
+from objconnect.network.segmentation import sample_cells, segment
 from objconnect.scene.config import load_config
 from objconnect.scene.errors import InputError
 
@@ -171,7 +171,7 @@ class ObjConnectNet(nn.Module):
         """
         if not self._object_levels:
             return list(islice(self._levels(image, needed), levels)), None
-        image = in_unit(image)
+        image = scale_to_unit(image)
         decoded = self._decode(image)
         if labels is None and self.config.segmentation == "learned":
             decoded = list(decoded)
@@ -183,7 +183,9 @@ class ObjConnectNet(nn.Module):
         for number, maps in enumerate(islice(decoded, levels)):
             if number < self._object_levels:
                 stride = self.config.strides[number]
-                occupied = occupancy(at_level(labels, image, maps, stride), self.config.segments)
+                occupied = occupancy(
+                    sample_cells(labels, image, maps, stride), self.config.segments
+                )
                 maps = self.objects_of[number](maps, occupied)
                 if number == self._object_levels - 1:
                     objects = self._as_points(maps, occupied, stride)

@@ -98,7 +98,7 @@ def keep_largest(labels: Labels, count: int) -> Labels:
     return kept
 
 
-def at_level(labels: Tensor, image: Tensor, level: Tensor, stride: int) -> Tensor:
+def sample_cells(labels: Tensor, image: Tensor, level: Tensor, stride: int) -> Tensor:
     """Return the label at the centre of each cell of a level, (B, h, w).
 
     Args:
@@ -116,7 +116,7 @@ def at_level(labels: Tensor, image: Tensor, level: Tensor, stride: int) -> Tenso
     return labels[:, rows[:, None], columns]
 
 
-def at_pixels(labels: Tensor, image: Tensor, xy: Tensor) -> Tensor:
+def sample_pixels(labels: Tensor, image: Tensor, xy: Tensor) -> Tensor:
     """Return the label at each pixel, (B, P).
 
     Args:

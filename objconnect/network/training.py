@@ -28,7 +28,7 @@ from objconnect.network.loss import (
 )
 from objconnect.network.network import ObjConnectNet, start_from
 from objconnect.network.objects import Objects
-from objconnect.network.segmentation import at_pixels
+from objconnect.network.segmentation import sample_pixels
 from objconnect.scene.config import load_config
 from objconnect.scene.errors import InputError
 
@@ -93,8 +93,8 @@ class ObjConnectTraining:
     def _confidence_loss(self, objects: Objects, labels: Tensor, batch: PairBatch) -> Tensor:
         """Return the loss of the confidences of the objects of both images of each pair."""
         a, b = labels.chunk(2)
-        points_a = at_pixels(a, batch.image_a, batch.xy_a)
-        points_b = at_pixels(b, batch.image_b, batch.xy_b)
+        points_a = sample_pixels(a, batch.image_a, batch.xy_a)
+        points_b = sample_pixels(b, batch.image_b, batch.xy_b)
         count = self.network_config.segments
         a_in_b = measure_correspondence(points_a, points_b, batch.valid, count)
         b_in_a = measure_correspondence(points_b, points_a, batch.valid, count)

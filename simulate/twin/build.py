@@ -53,7 +53,7 @@ class _Grids(NamedTuple):
 
 
 def build_site(
-    site: SiteConfig, side_m: float, origin: Geodetic, seed: int, beside: Path
+    site: SiteConfig, side_m: float, origin: Geodetic, seed: int, temporary_root: Path
 ) -> tuple[World, SiteReport]:
     """Build the place of a site.
 
@@ -62,7 +62,7 @@ def build_site(
         side_m: Side of the place, metres.
         origin: Origin of its world, at its centre.
         seed: Random seed of snow and puddles.
-        beside: Folder in which temporary files are written.
+        temporary_root: Folder in which temporary files are written.
 
     Raises:
         InputError: A file cannot be used or has changed, rasters do not overlap, or too much of the
@@ -75,7 +75,7 @@ def build_site(
             f"{', '.join(changed)} of the site has changed since the scene was configured: restore "
             "the file"
         )
-    with open_rasters(site, beside) as files:
+    with open_rasters(site, temporary_root) as files:
         return _build(site, files, side_m, origin, seed)
 
 

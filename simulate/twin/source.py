@@ -13,7 +13,7 @@ import numpy as np
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.errors import InputError
 from objconnect.scene.exports import ortho
-from objconnect.scene.geo.local_coordinates import at_height
+from objconnect.scene.geo.local_coordinates import move_to_height
 from objconnect.scene.geo.rasters import Raster
 from objconnect.scene.geometry.geodesy import Geodetic
 from objconnect.scene.storage.scratch import scratch
@@ -54,7 +54,7 @@ class Extent(NamedTuple):
 
 
 @contextmanager
-def open_rasters(site: SiteConfig, beside: Path) -> Iterator[Files]:
+def open_rasters(site: SiteConfig, temporary_root: Path) -> Iterator[Files]:
     """Open the rasters of a site; those of a scene are fused into a temporary folder.
 
     Raises:
@@ -68,7 +68,7 @@ def open_rasters(site: SiteConfig, beside: Path) -> Iterator[Files]:
         return
     scene = Scene.open(site.scene)
     notes, taken = _check_photographs(scene)
-    with scratch(beside) as folder:
+    with scratch(temporary_root) as folder:
         sessions = {name: scene.frames(name) for name in scene.sessions}
         ortho.write(scene, sessions, folder, folder)
         colours = Raster.open(folder / ortho.ORTHOPHOTO, "orthophoto")
@@ -130,7 +130,7 @@ def _middle(colours: Raster, heights: Raster, undulation: float) -> Geodetic:
             f"{colours.path} and {heights.path} do not overlap: give files of one place"
         )
     middle = colour_crs.to_geodetic(np.array([*(low + high) / 2, height]))
-    return at_height(height_crs, middle, height + undulation)
+    return move_to_height(height_crs, middle, height + undulation)
 
 
 def _side(scene: Scene) -> float:

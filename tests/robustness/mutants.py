@@ -127,8 +127,8 @@ MUTANTS: Final = (
     Mutant(
         "points in picture b are asked for the objects of a",
         "objconnect/network/training.py",
-        "at_pixels(b, batch.image_b, batch.xy_b)",
-        "at_pixels(a, batch.image_b, batch.xy_b)",
+        "sample_pixels(b, batch.image_b, batch.xy_b)",
+        "sample_pixels(a, batch.image_b, batch.xy_b)",
         (f"{_TRAINING}::test_each_picture_is_cut_into_its_own_segments",),
     ),
     Mutant(

@@ -95,11 +95,11 @@ def open_source(weights: str, license_id: str | None) -> Source:
 
 def _read_card(file: Path, sha256: str) -> tuple[str, Sequence[str]]:
     """Return the method and the facts of the card beside a file of weights."""
-    beside = file.with_suffix(".md")
-    path = beside if beside.is_file() else file.with_name(CARD)
+    own_card = file.with_suffix(".md")
+    path = own_card if own_card.is_file() else file.with_name(CARD)
     if not path.is_file():
         raise InputError(
-            f"{file} has no card: describe data, training and limits in {beside}, as {CARD} of "
+            f"{file} has no card: describe data, training and limits in {own_card}, as {CARD} of "
             "'objconnect train' does"
         )
     lines = read_text(path, "card").splitlines()

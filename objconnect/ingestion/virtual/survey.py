@@ -13,7 +13,7 @@ from objconnect.ingestion.virtual.flight import camera_of
 from objconnect.ingestion.virtual.options import ViewOptions
 from objconnect.ingestion.virtual.surface import Surface
 from objconnect.scene.errors import InputError
-from objconnect.scene.geo.local_coordinates import at_height, world_from
+from objconnect.scene.geo.local_coordinates import move_to_height, world_from
 from objconnect.scene.geo.rasters import Grid, Patch, Raster
 from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu
 from objconnect.scene.quantities.collars import describe_collar
@@ -103,7 +103,7 @@ def survey_rasters(
         box = colours.grid.box
         middle = np.array([(box.left + box.right) / 2, (box.bottom + box.top) / 2, 0.0])
         place = colours.grid.projection.to_geodetic(middle)
-        origin = at_height(heights.grid.projection, place, float(np.nanmean(ground.values)))
+        origin = move_to_height(heights.grid.projection, place, float(np.nanmean(ground.values)))
     middle_height = (low + high) / 2 + undulation
     ends = [ground_ends(raster.grid, origin, middle_height) for raster in (colours, heights)]
     first = np.max([low_end for low_end, _ in ends], axis=0)

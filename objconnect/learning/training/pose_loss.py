@@ -39,7 +39,7 @@ def reprojection_error(
 ) -> Tensor:
     """Return the mean pseudo-Huber function (B,) of the distance of projections by two poses.
 
-    ``in_pixels`` converts it to pixels.
+    ``convert_to_pixels`` converts it to pixels.
 
     Args:
         pose: estimated ``cam_from_world``, batch shape (B,).
@@ -59,7 +59,7 @@ def reprojection_error(
     return torch.as_tensor(robust.sum(-1) / used.sum(-1).clamp(min=1))
 
 
-def in_pixels(error: Tensor) -> Tensor:
+def convert_to_pixels(error: Tensor) -> Tensor:
     """Return the distance in pixels whose pseudo-Huber function is ``error``."""
     return 2 * ((error / 2 + 1).square() - 1).sqrt()
 

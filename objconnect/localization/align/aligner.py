@@ -124,7 +124,7 @@ def align(problem: Problem, with_covariance: bool = True) -> Alignment:
         outcome = torch.where(is_finite(state.linearisation), _ALIGNED, _NOT_FINITE)
         outcome = torch.where(seen < options.min_points, _TOO_FEW, outcome)
         failure = torch.where(active, outcome, failure)
-        by_level.append(local.in_world(tree_map(unflatten, pose)))
+        by_level.append(local.to_world(tree_map(unflatten, pose)))
     failed = failure != _ALIGNED
     last = state.linearisation
     unknown = failed if with_covariance else torch.ones_like(failed)

@@ -170,7 +170,7 @@ def _refine_on_coarsest(
         picked = grid[torch.arange(len(grid), device=grid.device)[:, None], best]
         return torch.cat([prior[:, None], picked], 1)
 
-    starts = local.in_world(tree_map(with_prior, local.start, grid))
+    starts = local.to_world(tree_map(with_prior, local.start, grid))
     rough = solver.rougher(_ROUGH_CONVERGENCE)
     first_steps = min(_MERGE_ITERATIONS, solver.iterations)
     short = coarsest.with_options(replace(rough, iterations=first_steps))

@@ -76,7 +76,7 @@ class LocalProblem:
         """Return ``cam_from_local`` of poses (B) or (B, K)."""
         return _shift_poses(cam_from_world, self.origin)
 
-    def in_world(self, cam_from_local: Pose) -> Pose:
+    def to_world(self, cam_from_local: Pose) -> Pose:
         """Return ``cam_from_world`` of poses (B) or (B, K)."""
         return _shift_poses(cam_from_local, -self.origin)
 

@@ -48,17 +48,17 @@ class Problem:
         """Return the same problem with other options."""
         return replace(self, options=options)
 
-    def at_levels(self, which: slice) -> Problem:
+    def select_levels(self, which: slice) -> Problem:
         """Return the problem with a range of its levels."""
         return replace(self, levels=self.levels[which], damping=self.damping[which])
 
     def coarsest(self) -> Problem:
         """Return the problem with the coarsest level alone."""
-        return self.at_levels(slice(1))
+        return self.select_levels(slice(1))
 
     def finer(self) -> Problem:
         """Return the problem with all levels but the coarsest."""
-        return self.at_levels(slice(1, None))
+        return self.select_levels(slice(1, None))
 
     def first_points(self, count: int) -> Problem:
         """Return the problem with the first ``count`` points of every query."""

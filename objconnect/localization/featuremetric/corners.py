@@ -111,12 +111,12 @@ def all_corners(
     """
 
     def rows(earlier: EarlierRows) -> Rows:
-        def of_photograph(name: str) -> Row:
+        def find_row(name: str) -> Row:
             key = digest_of(_FORMAT, *parts, find.digest_inputs(name, map_cache.digests))
             return key, earlier(key, ["xyz"]) or {"xyz": find(name).xyz}
 
         with progress_bar("corners of the map", len(map_cache.names)) as advance:
-            found = map_in_threads(of_photograph, map_cache.names)
+            found = map_in_threads(find_row, map_cache.names)
             for done, row in enumerate(found, 1):
                 yield row
                 advance(done)

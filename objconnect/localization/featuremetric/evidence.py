@@ -163,7 +163,7 @@ def _halves_distance(problem: Problem, pose: Pose) -> float:
     seen = projected.valid & (projected.xy > 0).all(-1) & (projected.xy < size).all(-1)
     black = (projected.xy / size * _SQUARES).floor().sum(-1) % 2 == 0
     # The pose is aligned already, so that the coarsest level is not needed.
-    fine = problem.finer() if len(problem.levels) > 2 else problem.at_levels(slice(-1, None))
+    fine = problem.finer() if len(problem.levels) > 2 else problem.select_levels(slice(-1, None))
     xy = []
     for half in (black, ~black):
         aligned = align(replace(fine.starting_at(pose), mask=seen & half), with_covariance=False)

@@ -101,7 +101,7 @@ class FeaturemetricLocalizer:
         if config.quantized:
             assert isinstance(network, nn.Module)
             require_quantizable(network)
-        config = config.in_effect().with_calibration()
+        config = config.drop_ineffective().with_calibration()
         assert config.search.acceptance is not None
         self.name = name
         self._network_sha256 = weights_sha256
@@ -242,7 +242,7 @@ class FeaturemetricLocalizer:
         return_freed_above(self._trim_above_bytes)
         if self._needs_search(query) and (found := self._search(query, clock)) is not None:
             return found
-        refine = self._preparation.in_query(clock).refine
+        refine = self._preparation.prepare_for_query(clock).refine
         with clock.stage("retrieval"):
             chosen = refine.photographs(query)
             if not len(chosen):
@@ -268,14 +268,14 @@ class FeaturemetricLocalizer:
                 matched = self._acceptance.rate(self._matches.localize(query))
             if is_sure_match(matched, self.config.search):
                 return replace(matched, seconds=clock.seconds)
-        return self._preparation.in_query(clock).search(query, matched, clock)
+        return self._preparation.prepare_for_query(clock).search(query, matched, clock)
 
     def _track(self, query: Query, clock: Stopwatch) -> Estimate | None:
         """Return the pose aligned from the predicted pose of a sequence; None if the query has no
         prediction or the pose is not accepted."""
         if self.config.tracking is None or not query.tracked or not has_pose(query.prior):
             return None
-        prepared = self._preparation.in_query(clock)
+        prepared = self._preparation.prepare_for_query(clock)
         assert prepared.tracking is not None
         attempt = prepared.tracking(query, prepared.refine.photographs(query), clock)
         if attempt is None:

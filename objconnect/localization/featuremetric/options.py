@@ -188,11 +188,11 @@ class FeaturemetricConfig(NetworkOptions):
     """Without any prior, reference images farther apart than this (metres) are separate starts
     though they share a heading; None for never."""
 
-    def in_effect(self) -> Self:
-        """Return the options with those switched off that need ``multistart`` and have no effect.
+    def drop_ineffective(self) -> Self:
+        """Return the options; without ``multistart``, those that need it are switched off.
 
         Raises:
-            InputError: a given option switches on what has no effect without ``multistart``.
+            InputError: an option is given that has no effect without ``multistart``.
         """
         if self.multistart:
             return self
@@ -209,7 +209,7 @@ class FeaturemetricConfig(NetworkOptions):
         return self.model_copy(update=off)
 
     def _switched_off(self) -> dict[str, Any]:
-        """Return the values that switch off what needs ``multistart``, by their options."""
+        """Return the values that switch off options that need ``multistart``, by option."""
         return {
             "place": self.place.model_copy(update={"candidates": 0}),
             "matches": None,

@@ -47,7 +47,7 @@ class Preparation:
                     self._done = self._prepare()
             return self._done
 
-    def in_query(self, clock: Stopwatch) -> MapState:
+    def prepare_for_query(self, clock: Stopwatch) -> MapState:
         """Return the prepared map; the time that a query waits for it is the stage ``preparation``.
 
         Raises:

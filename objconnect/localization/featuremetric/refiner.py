@@ -85,7 +85,7 @@ class Refiner:
             problem = self.problems.build(view, maps, chosen, start, count)
         with clock.stage("alignment"):
             if multistart:
-                coarse = problem.at_levels(slice(_COMPARED_LEVELS))
+                coarse = problem.select_levels(slice(_COMPARED_LEVELS))
                 aligned = AlignedView(view, problem, align_from_many(coarse, radius, self.width))
             else:
                 aligned = AlignedView(view, problem, align(problem, with_covariance=False))

@@ -99,7 +99,7 @@ def _align(problem: Problem, first: int) -> Alignment:
     rough = options.rougher(_ROUGH_CONVERGENCE)
     last = len(problem.levels) - 1
     for number in range(first, last + 1):
-        level = problem.at_levels(slice(number, number + 1))
+        level = problem.select_levels(slice(number, number + 1))
         if number < last:
             level = level.first_points(_ROUGH_POINTS).with_options(rough)
         alignment = align(level, with_covariance=False)

@@ -12,7 +12,11 @@ from torch.nn import functional
 from objconnect.learning.training.contrastive import contrastive, mean_over, sample
 from objconnect.learning.training.options import LOSSES, LossOptions
 from objconnect.learning.training.pairs import PairBatch
-from objconnect.learning.training.pose_loss import VisiblePoints, in_pixels, reprojection_error
+from objconnect.learning.training.pose_loss import (
+    VisiblePoints,
+    convert_to_pixels,
+    reprojection_error,
+)
 from objconnect.localization.align.aligner import align
 from objconnect.localization.align.options import Options
 from objconnect.localization.align.problem import Problem
@@ -140,7 +144,7 @@ def median_pixel_errors(
     """
     start = reprojection_error(batch.start, batch.b_from_a, *points_in_b(batch))
     named = zip(("start", *strides), (start, *errors), strict=True)
-    return {f"pixels/{name}": float(in_pixels(error.median())) for name, error in named}
+    return {f"pixels/{name}": float(convert_to_pixels(error.median())) for name, error in named}
 
 
 def filters_and_damping(

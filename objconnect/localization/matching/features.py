@@ -84,12 +84,12 @@ class Extractor(ABC):
         xy = view.in_photograph(xy[kept]).astype(features.xy.dtype)
         return Features(np.asarray(xy), features.scale[kept] / scale, features.descriptors[kept])
 
-    def of_photographs(
+    def extract_photographs(
         self,
         root: Path,
         names: Sequence[str],
         on_progress: Callable[[int], None],
-        beside: Path | None = None,
+        temporary_root: Path | None = None,
     ) -> dict[str, Features]:
         """Extract features of photographs, by name.
 
@@ -97,7 +97,7 @@ class Extractor(ABC):
             root: folder of the photographs.
             names: names of the photographs.
             on_progress: receives the number of finished photographs.
-            beside: folder in which temporary files are made, as in ``scratch.scratch``.
+            temporary_root: folder for temporary files, as ``parent`` of ``scratch.scratch``.
 
         Raises:
             InputError: a photograph is missing or damaged.
@@ -200,7 +200,9 @@ def _extract_all(
 ) -> dict[str, Arrays]:
     """Extract features of photographs and return them all, by name."""
     if extractor.rotation_invariant:
-        by_name = extractor.of_photographs(map_cache.images, names, on_progress, map_cache.folder)
+        by_name = extractor.extract_photographs(
+            map_cache.images, names, on_progress, map_cache.folder
+        )
         return {name: vars(features) for name, features in by_name.items()}
     extracted: dict[str, Arrays] = {}
     for name in names:

@@ -41,14 +41,14 @@ class Sift(Extractor):
     def __call__(self, rgb: NDArray[np.uint8]) -> Features:
         return self._extract(rgb)
 
-    def of_photographs(
+    def extract_photographs(
         self,
         root: Path,
         names: Sequence[str],
         on_progress: Callable[[int], None],
-        beside: Path | None = None,
+        temporary_root: Path | None = None,
     ) -> dict[str, Features]:
-        """Extract on all cores; see ``Extractor``."""
+        """Extract features of photographs on all cores; see ``Extractor``."""
         from objconnect.scene.colmap.sift import extract_sift
 
-        return extract_sift(root, names, self._options, on_progress, parent=beside)
+        return extract_sift(root, names, self._options, on_progress, parent=temporary_root)

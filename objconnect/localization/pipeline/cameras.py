@@ -17,8 +17,9 @@ from objconnect.scene.quantities.film_lens import SAME_LENS
 from objconnect.scene.quantities.focal import SAME_ASPECT
 from objconnect.scene.storage.exif import Exif
 
-# Focal ratios f / max(w, h) to try if the focal length is unknown: 90 to 37 degrees of view.
-_FOCAL_RATIOS: Final = (0.5, 0.6, 0.72, 0.86, 1.04, 1.24, 1.5)
+# Relative focal lengths f / max(w, h) to try if the focal length is unknown: 90 to 37 degrees of
+# view.
+_RELATIVE_FOCALS: Final = (0.5, 0.6, 0.72, 0.86, 1.04, 1.24, 1.5)
 # Relative standard deviation of the focal length of an estimated pinhole camera
 # (docs/evidence/robustness.md has an example).
 _PINHOLE_FOCAL_SIGMA: Final = 0.06
@@ -78,7 +79,7 @@ def calibration_of(size: tuple[int, int], exif: Exif, cameras: Collection[Camera
     same_size = [camera for camera in same_aspect if (camera.width, camera.height) == size]
     if same_size and (
         _difference_from_exif(same_size[0], exif) < SAME_LENS
-        or (exif.focal_ratio is None and len(same_size) == 1)
+        or (exif.relative_focal is None and len(same_size) == 1)
     ):
         return Calibration(same_size[0], CameraSource.MAP)
     calibrated = exif.xmp.camera
@@ -86,11 +87,11 @@ def calibration_of(size: tuple[int, int], exif: Exif, cameras: Collection[Camera
         return Calibration(_fit_to_size(calibrated, size), CameraSource.CALIBRATED)
     if same_aspect and _difference_from_exif(same_aspect[0], exif) < SAME_LENS:
         return Calibration(_fit_to_size(same_aspect[0], size), CameraSource.SCALED)
-    focal = exif.focal_ratio
+    focal = exif.relative_focal
     if focal is not None:
         return Calibration(_pinhole(size, focal), CameraSource.EXIF)
     candidates = [_fit_to_size(camera, size) for camera in same_aspect]
-    candidates += [_pinhole(size, focal) for focal in _FOCAL_RATIOS]
+    candidates += [_pinhole(size, focal) for focal in _RELATIVE_FOCALS]
     return Calibration(candidates[0], CameraSource.ESTIMATED, tuple(candidates[1:]))
 
 
@@ -99,12 +100,12 @@ def _candidates(
 ) -> Calibration:
     """Return candidate cameras of a photograph whose EXIF fields contradict each other.
 
-    Each focal ratio gives a pinhole camera. If it agrees with a camera of the map, that camera is a
-    candidate too. Candidates of focal ratios that agree with a camera of the map come first.
+    Each relative focal length gives a pinhole camera. If it agrees with a camera of the map, that
+    camera is a candidate too. Candidates that agree with a camera of the map come first.
 
     Args:
         size: width and height of the photograph, pixels.
-        focals: focal ratios f / max(w, h) by the contradicting fields.
+        focals: relative focal lengths f / max(w, h) by the contradicting fields.
         cameras: cameras of the map.
     """
     same_aspect = sorted(
@@ -120,14 +121,14 @@ def _candidates(
 
 
 def _nearest(focal: float, cameras: Sequence[Camera]) -> Camera | None:
-    """Return the camera whose focal ratio is nearest to ``focal``; None if all are other lenses."""
+    """Return the camera whose relative focal length is nearest; None if all are other lenses."""
     difference = {camera: _relative_difference(camera, focal) for camera in cameras}
     best = min(difference, key=lambda camera: difference[camera], default=None)
     return best if best is not None and difference[best] < SAME_LENS else None
 
 
 def _relative_difference(camera: Camera, focal: float) -> float:
-    """Return the relative difference of a camera's focal ratio f / max(w, h) from ``focal``."""
+    """Return the relative difference of a camera's focal length from ``focal`` (f / max(w, h))."""
     ratio = camera.focal[0] / max(camera.width, camera.height) / focal
     return max(ratio, 1 / ratio) - 1
 
@@ -144,7 +145,7 @@ def estimate_camera(
     through the misfits interpolates the focal length.
 
     Args:
-        cameras: candidates (``calibration_of``). Pinholes of ``_FOCAL_RATIOS`` come last, shortest
+        cameras: candidates (``calibration_of``). Pinholes of ``_RELATIVE_FOCALS`` come last, shortest
             first.
         queries: photographs of the lens.
         localize: localizes a query.
@@ -158,9 +159,9 @@ def estimate_camera(
             sigmas[~found] = _FAILED_SIGMA * sigmas[found].max()
             misfit += max(estimate.inliers for estimate in estimates) * np.log(sigmas)
     best = int(misfit.argmin())
-    first = len(cameras) - len(_FOCAL_RATIOS)
+    first = len(cameras) - len(_RELATIVE_FOCALS)
     size = cameras[0].width, cameras[0].height
-    has_pinholes = first >= 0 and cameras[first] == _pinhole(size, _FOCAL_RATIOS[0])
+    has_pinholes = first >= 0 and cameras[first] == _pinhole(size, _RELATIVE_FOCALS[0])
     if not has_pinholes or not first < best < len(cameras) - 1:
         return cameras[best]
     near = slice(best - 1, best + 2)
@@ -171,7 +172,7 @@ def estimate_camera(
     return _change(camera, (camera.width, camera.height), factor, 1.0, 0.0)
 
 
-def with_focal_error(
+def add_focal_error(
     estimate: Estimate, camera: Camera, cameras: Collection[Camera], xyz: NDArray[np.float64]
 ) -> Estimate:
     """Return an estimate whose covariance includes the error of an estimated focal length.
@@ -217,7 +218,7 @@ def _rotation_sigma(estimate: Estimate) -> float:
 
 def _difference_from_exif(camera: Camera, exif: Exif) -> float:
     """Return the relative difference of a camera's focal length from EXIF; infinite if unknown."""
-    focal = exif.focal_ratio
+    focal = exif.relative_focal
     return math.inf if focal is None else _relative_difference(camera, focal)
 
 
@@ -252,5 +253,5 @@ def _change(
 
 
 def _pinhole(size: tuple[int, int], focal: float) -> Camera:
-    """Return the pinhole camera with a focal ratio f / max(w, h)."""
+    """Return the pinhole camera with a relative focal length f / max(w, h)."""
     return Camera("SIMPLE_PINHOLE", *size, (focal * max(size), size[0] / 2, size[1] / 2))

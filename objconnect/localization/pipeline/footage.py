@@ -11,7 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
-from objconnect.ingestion.telemetry import Telemetry, at_time, read_telemetry
+from objconnect.ingestion.telemetry import Telemetry, find_telemetry, read_telemetry
 from objconnect.localization.pipeline.cameras import Calibration, CameraSource, calibration_of
 from objconnect.localization.pipeline.localization_map import LocalizationMap
 from objconnect.scene.errors import InputError
@@ -75,8 +75,8 @@ class Footage:
         """
         video = read_video(path)
         if srt is None:
-            beside = (path.with_suffix(ending) for ending in _SIDECARS)
-            srt = next((file for file in beside if file.is_file()), None)
+            sidecars = (path.with_suffix(ending) for ending in _SIDECARS)
+            srt = next((file for file in sidecars if file.is_file()), None)
         if srt is None and video.unread:
             log.warning(
                 "%s has subtitles or data (%s) that are not read: give --srt if they are telemetry",
@@ -307,7 +307,7 @@ class Timing:
         if not self.is_known:
             return None
         if not self.by_frame:
-            return at_time(telemetry, frame.seconds)
+            return find_telemetry(telemetry, frame.seconds)
         row = bisect_right(telemetry, frame.index + 1, key=lambda item: item.frame or 0) - 1
         return telemetry[row] if row >= 0 else None
 

@@ -67,7 +67,7 @@ class LocalizationMap:
         position[2] = np.median(self.sparse_map.centres[:, 2])
         return position, np.array([*sigma[:2], np.inf])
 
-    def on_earth(self, estimate: Estimate) -> Geodetic | None:
+    def locate_on_earth(self, estimate: Estimate) -> Geodetic | None:
         """Return the camera's position on earth; None without a pose or an origin."""
         if estimate.cam_from_world is None or self.origin is None:
             return None

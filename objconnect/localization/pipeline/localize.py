@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from objconnect.localization.pipeline.answers import Geography, Located, encode_files, output_files
-from objconnect.localization.pipeline.cameras import CameraSource, with_focal_error
+from objconnect.localization.pipeline.cameras import CameraSource, add_focal_error
 from objconnect.localization.pipeline.disagreement import warn_of_disagreement
 from objconnect.localization.pipeline.failures import localize_retrying, localize_safely
 from objconnect.localization.pipeline.frames import VideoFrames
@@ -206,11 +206,11 @@ class _Job:
         source = None if image.calibration is None else image.calibration.source
         if camera is not None and source is CameraSource.ESTIMATED:
             points = self.localization_map.sparse_map.xyz
-            estimate = with_focal_error(estimate, camera, self.localization_map.cameras, points)
+            estimate = add_focal_error(estimate, camera, self.localization_map.cameras, points)
         return Located(
             image.name,
             estimate,
-            self.localization_map.on_earth(estimate),
+            self.localization_map.locate_on_earth(estimate),
             image.time,
             camera,
             source,
@@ -277,7 +277,7 @@ class _ImageLocalizer:
         self._inputs = digest_of(earlier, image.seconds, *_digest_inputs(image))
         estimate = self._estimate(image)
         if self._tracker is not None and image.seconds is not None:
-            self._tracker.take(estimate, image.seconds)
+            self._tracker.update(estimate, image.seconds)
         return estimate
 
     def _estimate(self, image: QueryImage) -> Estimate:

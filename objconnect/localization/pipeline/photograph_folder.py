@@ -18,9 +18,9 @@ from objconnect.localization.pipeline.localization_map import LocalizationMap
 from objconnect.localization.pipeline.options import LocalizeOptions
 from objconnect.localization.pipeline.photographs import (
     PhotographReader,
+    add_estimates,
     warn_of_doubts,
     warn_of_rolling_shutter,
-    with_estimates,
 )
 from objconnect.localization.pipeline.query_image import QueryImage
 from objconnect.scene.errors import InputError
@@ -116,7 +116,7 @@ class PhotographFolder:
         self._require_one()
         reader = self.reader
         if self.seconds is None:
-            reader = with_estimates(reader, self.paths, localize)
+            reader = add_estimates(reader, self.paths, localize)
         return (self._image(reader, name) for name in self._order())
 
     def warn(self) -> None:

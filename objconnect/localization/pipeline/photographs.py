@@ -151,7 +151,7 @@ def lens_of(exif: Exif, size: tuple[int, int]) -> Lens:
     return exif.make, exif.model, exif.focal_35mm, exif.focals, size
 
 
-def with_estimates(
+def add_estimates(
     reader: PhotographReader, paths: Mapping[str, Path], localize: Callable[[Query], Estimate]
 ) -> PhotographReader:
     """Return the reader with estimates of the unknown cameras.

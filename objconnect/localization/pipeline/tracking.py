@@ -44,7 +44,7 @@ class SequenceConfig(Config):
     gate: float = Field(
         22.5,
         gt=0,
-        description="Squared Mahalanobis distance from the predicted pose below which a pose "
+        description="Gate: squared Mahalanobis distance from the predicted pose below which a pose "
         "agrees with it; 99.9 % of right poses do (6 degrees of freedom).",
     )
     lost_after: int = Field(
@@ -81,7 +81,7 @@ class Tracker:
     """Localizes the images of a sequence, one after the other.
 
     The state depends on the estimates alone, so that an interrupted run resumes by passing its
-    earlier estimates to ``take``.
+    earlier estimates to ``update``.
 
     Attributes:
         searched: number of images that were searched without the motion.
@@ -95,7 +95,7 @@ class Tracker:
         self.searched = 0
 
     def localize(self, query: Query, seconds: float) -> Estimate:
-        """Localize the next image; call ``take`` with the estimate.
+        """Localize the next image; call ``update`` with the estimate.
 
         Args:
             query: the image; its prior, if any, is the measurement of the aircraft.
@@ -117,7 +117,7 @@ class Tracker:
             return found
         return Estimate(Status.FAILED, seconds=found.seconds, reason=_CONTRADICTED)
 
-    def take(self, estimate: Estimate, seconds: float) -> None:
+    def update(self, estimate: Estimate, seconds: float) -> None:
         """Update the motion with an estimate of this run or of the interrupted run.
 
         Args:

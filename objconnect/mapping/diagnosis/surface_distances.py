@@ -135,9 +135,9 @@ def _distances(
         normal = layers["normal"][at].astype(np.float64) / _NORMAL_SCALE
         offset = xyz[rows] - patch
         above = (offset * normal).sum(1)
-        beside = np.linalg.norm(offset - above[:, None] * normal, axis=1)
+        along = np.linalg.norm(offset - above[:, None] * normal, axis=1)
         radius = _DISC_RADIUS * depth / min(image.camera.focal)
-        distance = np.hypot(above, np.maximum(beside - radius, 0))
+        distance = np.hypot(above, np.maximum(along - radius, 0))
         shown = (depth > 0) & (layers["instance"][at] == owners[rows])
         best = np.where(shown, np.minimum(best, distance), best)
     return best

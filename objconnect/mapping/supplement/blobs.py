@@ -14,7 +14,7 @@ from torch import Tensor
 from objconnect.mapping.supplement.triangulation import Detections
 from objconnect.network.network import ObjConnectNet
 from objconnect.network.objects import Objects
-from objconnect.network.segmentation import NOTHING, Labels, at_pixels
+from objconnect.network.segmentation import NOTHING, Labels, sample_pixels
 
 SIGMAS: Final = (0.8, 1.3, 2.1)
 """Radii of blobs (px). The classifier takes the appearance at each of them."""
@@ -103,7 +103,7 @@ def find_blobs(
     end = np.array([rgb.shape[1], rgb.shape[0]]) - _BORDER_PX
     inside = ((xy >= _BORDER_PX) & (xy <= end)).all(1)
     if labels is not None:
-        labelled = at_pixels(labels, image, torch.from_numpy(xy)[None])[0] != NOTHING
+        labelled = sample_pixels(labels, image, torch.from_numpy(xy)[None])[0] != NOTHING
         inside &= labelled.numpy()
     kept = np.flatnonzero(inside)
     order = np.argsort(-strength[radius_index, row, column][kept], kind="stable")
@@ -114,7 +114,7 @@ def find_blobs(
         length = np.linalg.norm(appearance, axis=1, keepdims=True)
         descriptors, confidence = appearance / length.clip(1e-6), np.ones(len(xy))
     else:
-        index = at_pixels(segments, image, torch.from_numpy(xy)[None])[0]
+        index = sample_pixels(segments, image, torch.from_numpy(xy)[None])[0]
         descriptors, confidence = _describe(objects, index)
     smooth = cv2.GaussianBlur(lab, (0, 0), _COLOUR_SIGMA_PX)
     return Blobs(

@@ -137,7 +137,7 @@ def world_pose(projection: Projection, origin: Geodetic, cam_from_grid: Pose) ->
     return Pose(rotation, -(rotation @ torch.from_numpy(world[0])))
 
 
-def at_height(projection: Projection, place: Geodetic, height: float) -> Geodetic:
+def move_to_height(projection: Projection, place: Geodetic, height: float) -> Geodetic:
     """Return the point straight above or below ``place`` at a height of a reference system.
 
     Args:

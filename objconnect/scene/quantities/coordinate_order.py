@@ -167,7 +167,7 @@ def _select_by_speed(track: PairedTrack, orders: Sequence[Order]) -> list[Order]
     return [order for order in orders if is_slow(order)]
 
 
-def without_jumps(seconds: Sequence[float], places: Sequence[Pair | None]) -> list[Pair | None]:
+def drop_jumps(seconds: Sequence[float], places: Sequence[Pair | None]) -> list[Pair | None]:
     """Return the positions of a track with None for those that no drone can have reached.
 
     Each position is compared with the median of up to five neighbours on each side, and with the

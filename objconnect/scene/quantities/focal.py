@@ -30,7 +30,7 @@ _VALUE_TOLERANCE: Final = 0.02
 _MAX_SENSOR_ASPECT: Final = 2.4
 # Largest relative difference of the sides of a sensor's pixels.
 _MAX_PIXEL_DIFFERENCE: Final = 0.05
-# Focal ratios outside this range are damaged values; it is 1 mm to 10 m for 35 mm film.
+# Relative focal lengths outside this range are damaged values; it is 1 mm to 10 m for 35 mm film.
 _FOCAL_RANGE: Final = (1 / 36, 10_000 / 36)
 # The size of 35 mm film (mm).
 FILM_LENGTH: Final = 36.0
@@ -53,7 +53,7 @@ class FocalLength:
     """The focal length of a photograph.
 
     Attributes:
-        reading: the focal ratio f / max(w, h), or unknown with the reason.
+        reading: the relative focal length f / max(w, h), or unknown with the reason.
         candidates: stated values if the focal length is unknown, the likeliest first.
         calibration_applies: whether a calibration in pixels applies to the picture.
     """
@@ -68,7 +68,7 @@ class Lens:
     """A calibration in pixels.
 
     Attributes:
-        focal: focal ratio f / max(w, h) of the calibrated image.
+        focal: relative focal length f / max(w, h) of the calibrated image.
         size_confirmed: whether its optical centre confirms that it applies to this image size.
     """
 
@@ -101,7 +101,7 @@ class _Source:
 
 
 def read_focal(detail: Mapping[str, object], size: Size, lens: Lens | None = None) -> FocalLength:
-    """Return the focal ratio f / max(w, h) of a photograph.
+    """Return the relative focal length f / max(w, h) of a photograph.
 
     Args:
         detail: fields of EXIF by name.
@@ -161,7 +161,7 @@ def read_exif_size(detail: Mapping[str, object]) -> Size | None:
 
 
 def ratio_of_equivalent(focal_35mm: float, size: Size) -> float:
-    """Convert a 35 mm equivalent focal length (mm) to the focal ratio f / max(w, h).
+    """Convert a 35 mm equivalent focal length (mm) to the relative focal length f / max(w, h).
 
     Equivalents refer to the diagonal (CIPA DCG-001).
     """

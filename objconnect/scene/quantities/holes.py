@@ -156,9 +156,9 @@ def _find_zeros(histogram: Histogram, counts: NDArray[np.int64], total: int) -> 
     zero = round(-LOWEST_M)
     below = np.flatnonzero(counts[:zero])
     share = histogram.zeros / total
-    beside = int(counts[zero - 1 : zero + 1].sum())
+    near_zero = int(counts[zero - 1 : zero + 1].sum())
     only_constants = bool((histogram.low[below] == histogram.high[below]).all())
-    if only_constants or share < _REMARK_SHARE or _MAX_CROWD * histogram.zeros < beside:
+    if only_constants or share < _REMARK_SHARE or _MAX_CROWD * histogram.zeros < near_zero:
         return []
     return [Hole(0.0, float(share), False, "between the others", remark=True)]
 

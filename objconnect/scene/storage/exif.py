@@ -59,7 +59,7 @@ class Exif:
         place_doubts: phrases about an unknown or contradictory position, with names of fields.
         lens_doubts: phrases about the focal length.
         capture_doubts: phrases about time, attitude and contradictory blocks of EXIF.
-        focals: candidate focal ratios (see ``focal_ratio``) if none of them is reliable.
+        focals: candidates of ``relative_focal``, if none of them is reliable.
     """
 
     position: Geodetic | None
@@ -102,7 +102,7 @@ class Exif:
         return self.xmp.gimbal
 
     @property
-    def focal_ratio(self) -> float | None:
+    def relative_focal(self) -> float | None:
         """Return the focal length divided by the longer image side (f / max(w, h), as in OpenSfM);
         None if unknown."""
         return None if self.focal_35mm is None else self.focal_35mm / FILM_LENGTH
@@ -222,13 +222,13 @@ def read_exif(path: Path) -> Exif:
     if position.value is not None:
         up = math.nan if altitude.value is None else altitude.value
         geodetic = Geodetic(*position.value, up)
-    focal_ratio = focal.reading.value
+    relative_focal = focal.reading.value
     return Exif(
         position=geodetic,
         time=time.value,
         make=_text(tags.get(ExifTags.Base.Make)),
         model=_text(tags.get(ExifTags.Base.Model)),
-        focal_35mm=None if focal_ratio is None else focal_ratio * FILM_LENGTH,
+        focal_35mm=None if relative_focal is None else relative_focal * FILM_LENGTH,
         xmp=xmp,
         place_doubts=(*position.doubts, *(() if geodetic is None else altitude.doubts)),
         lens_doubts=focal.reading.doubts,

@@ -93,7 +93,7 @@ def test_a_cached_preparation_extracts_nothing(
     def refuse(*_: Any) -> None:
         pytest.fail("the features are in the cache")
 
-    other._extractor.of_photographs = refuse  # type: ignore[method-assign,assignment]
+    other._extractor.extract_photographs = refuse  # type: ignore[method-assign,assignment]
     other.prepare(sparse_map, IMAGES, cache)
     first, second = (x.localize(again(sparse_map)) for x in (localizer, other))
     assert first.inliers == second.inliers > 0

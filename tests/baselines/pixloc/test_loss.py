@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from objconnect.learning.training.pose_loss import in_pixels, reprojection_error
+from objconnect.learning.training.pose_loss import convert_to_pixels, reprojection_error
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.projection import Intrinsics
 
@@ -18,4 +18,4 @@ def test_errors_are_logged_in_pixels() -> None:
     valid = torch.ones(1, 2, dtype=torch.bool)
     error = reprojection_error(moved, truth, points, camera, valid)
     assert error.item() == pytest.approx(2 * (26**0.5 - 1), rel=1e-4)
-    assert in_pixels(error).item() == pytest.approx(10, rel=1e-4)
+    assert convert_to_pixels(error).item() == pytest.approx(10, rel=1e-4)

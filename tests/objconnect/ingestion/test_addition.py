@@ -122,7 +122,7 @@ def test_features_of_the_map_are_those_that_localizers_would_extract(
         kept = map_features(MapCache.of(sparse_map, scene.images_root, tmp_path / "cache"), sift)
         assert isinstance(kept, FeatureFile) and kept.path == sparse_map.features
         name = sparse_map.names[-1]
-        fresh = sift.of_photographs(scene.images_root, [name], lambda _: None)[name]
+        fresh = sift.extract_photographs(scene.images_root, [name], lambda _: None)[name]
         np.testing.assert_array_equal(kept[name].xy, fresh.xy)
         np.testing.assert_array_equal(kept[name].descriptors, fresh.descriptors)
     shutil.copytree(old, tmp_path / "unknown")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from objconnect.ingestion.telemetry import Telemetry, at_time, read_telemetry
+from objconnect.ingestion.telemetry import Telemetry, find_telemetry, read_telemetry
 from objconnect.scene.errors import InputError
 
 BRACKETS = """1
@@ -222,5 +222,5 @@ def test_missing_file_is_refused(tmp_path: Path) -> None:
 
 def test_telemetry_of_a_time() -> None:
     flight = [Telemetry(0.0, 0.5, rel_alt=1.0), Telemetry(0.5, 1.0, rel_alt=2.0)]
-    found = [at_time(flight, seconds) for seconds in (-0.1, 0.0, 0.49, 0.5, 1.9, 2.1)]
+    found = [find_telemetry(flight, seconds) for seconds in (-0.1, 0.0, 0.49, 0.5, 1.9, 2.1)]
     assert [item and item.rel_alt for item in found] == [None, 1.0, 1.0, 2.0, 2.0, None]

@@ -5,7 +5,7 @@ import torch
 from torch import nn
 
 from objconnect.learning.pixloc_net import PixlocNet, PixlocNetConfig
-from objconnect.learning.vgg import encode, in_unit, vgg16_encoder
+from objconnect.learning.vgg import encode, scale_to_unit, vgg16_encoder
 from objconnect.network.config import ObjConnectNetConfig
 from objconnect.network.network import ObjConnectNet
 
@@ -44,5 +44,5 @@ def test_the_first_block_sees_an_image_in_strips_as_it_sees_it_whole(height: int
 def test_images_of_bytes_are_seen_as_those_in_0_to_1() -> None:
     encoder = vgg16_encoder(0.125).eval()
     image = torch.randint(0, 256, (1, 3, 64, 48), dtype=torch.uint8)
-    of_bytes, in_floats = encode(encoder, image), encode(encoder, in_unit(image))
+    of_bytes, in_floats = encode(encoder, image), encode(encoder, scale_to_unit(image))
     assert all(map(torch.equal, of_bytes, in_floats))

@@ -5,7 +5,13 @@ import pytest
 import torch
 
 from objconnect.network.config import ObjConnectNetConfig
-from objconnect.network.segmentation import NOTHING, at_level, at_pixels, keep_largest, segment
+from objconnect.network.segmentation import (
+    NOTHING,
+    keep_largest,
+    sample_cells,
+    sample_pixels,
+    segment,
+)
 from objconnect.scene.errors import InputError
 from tests.objconnect.network.made import pictures
 
@@ -71,13 +77,13 @@ def test_the_largest_are_kept() -> None:
 def test_levels_take_the_label_at_the_centre_of_their_cells() -> None:
     # One label per pixel of a picture 40 x 24, of which a level of stride 16 covers 32 x 16.
     labels = torch.arange(40 * 24).view(1, 24, 40)
-    found = at_level(labels, torch.zeros(1, 3, 24, 40), torch.zeros(1, 8, 1, 2), 16)
+    found = sample_cells(labels, torch.zeros(1, 3, 24, 40), torch.zeros(1, 8, 1, 2), 16)
     assert found.tolist() == [[[8 * 40 + 8, 8 * 40 + 24]]]
-    halved = at_level(labels[:, ::2, ::2], torch.zeros(24, 40), torch.zeros(6, 10), 4)
+    halved = sample_cells(labels[:, ::2, ::2], torch.zeros(24, 40), torch.zeros(6, 10), 4)
     assert torch.equal(halved, labels[:, 2::4, 2::4])
 
 
 def test_labels_under_pixels() -> None:
     labels = torch.arange(6).view(1, 2, 3)
     xy = torch.tensor([[[0.5, 0.5], [29.9, 0.1], [10.1, 19.9], [-5.0, 50.0]]])
-    assert at_pixels(labels, torch.zeros(20, 30), xy).tolist() == [[0, 2, 4, 3]]
+    assert sample_pixels(labels, torch.zeros(20, 30), xy).tolist() == [[0, 2, 4, 3]]

@@ -16,9 +16,9 @@ import objconnect.methods
 from benchmark.cli import app
 from objconnect.localization.pipeline.cameras import (
     CameraSource,
+    add_focal_error,
     calibration_of,
     estimate_camera,
-    with_focal_error,
 )
 from objconnect.scene.colmap.absolute_pose import estimate_absolute_pose
 from objconnect.scene.geometry.camera import Camera
@@ -121,12 +121,12 @@ def test_an_estimated_focal_length_is_part_of_the_sigma() -> None:
     estimate = Estimate(Status.OK, pose, covariance)
     pinhole = Camera("SIMPLE_PINHOLE", 96, 64, (80.0, 48.0, 32.0))
     for camera, share in ((pinhole, 0.06), (CAMERA, 0.005)):
-        wider = with_focal_error(estimate, camera, [CAMERA], ground).world_covariance()
+        wider = add_focal_error(estimate, camera, [CAMERA], ground).world_covariance()
         assert wider is not None
         up = float(np.sqrt(wider[2, 2]))
         assert up == pytest.approx(np.hypot(0.1, share * height), rel=0.1)
     lost = Estimate(Status.FAILED)
-    assert with_focal_error(lost, CAMERA, [CAMERA], ground) == lost
+    assert add_focal_error(lost, CAMERA, [CAMERA], ground) == lost
 
 
 @pytest.mark.parametrize("truth", [0.55, 0.8, 1.1])

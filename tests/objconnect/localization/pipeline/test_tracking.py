@@ -77,7 +77,7 @@ def run(
     for frame in range(frames):
         query = Query(str(frame), image, CAMERA, telemetry(frame))
         estimates.append(tracker.localize(query, STEP * frame))
-        tracker.take(estimates[-1], STEP * frame)
+        tracker.update(estimates[-1], STEP * frame)
     return estimates, localizer, tracker
 
 
@@ -237,7 +237,7 @@ def test_a_pause_ends_what_the_motion_knows() -> None:
     image = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
     for frame, seconds in ((0, 0.0), (1, 0.5), (2, 1.0), (120, 61.0)):
         estimate = tracker.localize(Query(str(frame), image, CAMERA), seconds)
-        tracker.take(estimate, seconds)
+        tracker.update(estimate, seconds)
     assert [query.prior is None for query in localizer.seen] == [True, False, False, True]
 
 
@@ -250,10 +250,10 @@ def test_answers_of_an_interrupted_run_are_taken_up() -> None:
     tracker = Tracker(localizer, SequenceConfig())
     image = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
     for frame in range(7):
-        tracker.take(whole[frame], STEP * frame)
+        tracker.update(whole[frame], STEP * frame)
     for frame in range(7, 12):
         estimate = tracker.localize(Query(str(frame), image, CAMERA), STEP * frame)
-        tracker.take(estimate, STEP * frame)
+        tracker.update(estimate, STEP * frame)
     for query, before in zip(localizer.seen, straight.seen[7:], strict=True):
         assert query.prior is not None and before.prior is not None
         np.testing.assert_array_equal(query.prior.position, before.prior.position)

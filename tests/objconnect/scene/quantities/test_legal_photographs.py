@@ -214,7 +214,7 @@ def wrong(made: Made, exif: Exif) -> list[str]:
             found.append(f"altitude {exif.position.altitude} is {made.altitude}")
     if exif.gimbal is not None and (made.turned or not np.allclose(exif.gimbal, made.gimbal)):
         found.append(f"gimbal {exif.gimbal} is {made.gimbal}")
-    focal = exif.focal_ratio
+    focal = exif.relative_focal
     if focal is not None and abs(math.log(focal / made.focal)) > (0.15 if made.coarse else 0.02):
         found.append(f"focal length {focal} is {made.focal}")
     camera = exif.xmp.camera
@@ -242,9 +242,9 @@ def test_what_is_read_is_true_or_unknown(tmp_path: Path) -> None:
             where is not None,
             where is not None and not math.isnan(where.altitude),
             exif.gimbal is not None or made.turned,
-            exif.focal_ratio is not None,
+            exif.relative_focal is not None,
         ]
-        if exif.focal_ratio is None and "FocalLengthIn35mmFilm" in made.detail:
+        if exif.relative_focal is None and "FocalLengthIn35mmFilm" in made.detail:
             assert any("FocalLength" in doubt or "cropped" in doubt for doubt in exif.doubts)
         if where is None and "GPSLatitude" in made.gps:
             assert any("GPSL" in doubt for doubt in exif.doubts), made

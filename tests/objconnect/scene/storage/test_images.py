@@ -92,13 +92,15 @@ def test_fractions_of_seconds(digits: str, seconds: float, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("size", [(400, 300), (300, 400)])
-def test_focal_ratio_refers_to_the_longer_side(size: tuple[int, int], tmp_path: Path) -> None:
+def test_the_relative_focal_length_refers_to_the_longer_side(
+    size: tuple[int, int], tmp_path: Path
+) -> None:
     rgb = np.zeros((size[1], size[0], 3), np.uint8)
     write_jpeg(tmp_path / "a.jpg", rgb, Exif(None, None, focal_35mm=36 * 500 / 400))
-    focal = read_exif(tmp_path / "a.jpg").focal_ratio
+    focal = read_exif(tmp_path / "a.jpg").relative_focal
     assert focal == pytest.approx(500 / 400, rel=1e-4)
     resize_file(tmp_path / "a.jpg", tmp_path / "b.jpg", 200)
-    assert read_exif(tmp_path / "b.jpg").focal_ratio == pytest.approx(focal)
+    assert read_exif(tmp_path / "b.jpg").relative_focal == pytest.approx(focal)
 
 
 @pytest.mark.parametrize(("offset", "hours"), [("+02:00", 2), ("-05:30", -5.5), ("", 0), ("?", 0)])
