@@ -35,7 +35,11 @@ _EXCESS: Final = 1.5
 
 
 class KorniaExtractor(Extractor):
-    """Extracts the strongest ``max_features`` keypoints of an image by a network of kornia.
+    """Extracts the strongest keypoints of an image by a network of kornia.
+
+    A call on an image returns up to 1.5 times ``max_features`` keypoints, because keypoints at the
+    edges of a rotated photograph are dropped later; ``extract_warped`` returns up to
+    ``max_features``.
 
     The networks are loaded when they are first used, so that a localizer can be made, and its
     options be listed, without kornia.

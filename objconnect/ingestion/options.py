@@ -26,8 +26,9 @@ class IngestOptions(Config):
         3.3,
         ge=0,
         description="Standard deviation to the east, and to the north, of the GPS error that all "
-        "positions of a flight share, m. It is used where the receiver states none. The default "
-        "corresponds to 8 m for 95 % of positions (GPS SPS Performance Standard, 2020).",
+        "positions of a flight share, m. It is used for all photographs unless the receiver states "
+        "its own for every one. The default corresponds to 8 m for 95 % of positions (GPS SPS "
+        "Performance Standard, 2020).",
     )
     receiver_height_sigma_m: float = Field(
         6.6,
@@ -39,5 +40,6 @@ class IngestOptions(Config):
         ge=0,
         description="Standard deviation of the vertical datum, m: altitudes of receivers are above "
         "sea level or above the ellipsoid. The default is the root mean square of the geoid's "
-        "height over the earth. It does not count where ground control points give heights.",
+        "height over the earth. It is not used if the receiver states its own standard deviation "
+        "for every photograph, or if ground control points give heights.",
     )

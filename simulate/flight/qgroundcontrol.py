@@ -1,8 +1,9 @@
 """Read mission plans of QGroundControl (``.plan``).
 
 The format is https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html.
-Simple items are supported. Surveys and corridor scans are read from their items, or from their
-transects if they have no items. ``structure_scan`` reads structure scans.
+Simple items, surveys, corridor scans, structure scans and landing patterns are supported. Surveys
+and corridor scans are read from their items, or from their transects if they have no items.
+``structure_scan`` computes the commands of structure scans.
 """
 
 from __future__ import annotations

@@ -41,7 +41,10 @@ def draw_planting(builder: PlaceBuilder) -> Planting:
 
 
 def orchard(builder: PlaceBuilder, block: Block) -> None:
-    """Plant rows of equal trees on both sides of a track, with crates and a tractor beside it."""
+    """Plant rows of equal trees on both sides of a farm track.
+
+    Crates, and perhaps a tractor, stand beside the track.
+    """
     planting = builder.once(draw_planting)
     rng, frame = builder.rng, block.front(1)
     length, depth = block.length, block.depth

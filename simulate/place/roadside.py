@@ -105,5 +105,5 @@ def deliveries(builder: PlaceBuilder) -> None:
 
 
 def off_junction(builder: PlaceBuilder, at: Array, clear_m: float) -> bool:
-    """Return whether only one road comes within ``clear_m`` metres of a point (2,)."""
+    """Return whether at most one road comes within ``clear_m`` metres of a point (2,)."""
     return len(builder.roads_within(at[None], clear_m)) <= 1

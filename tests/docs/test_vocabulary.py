@@ -10,7 +10,7 @@ import pytest
 
 from tests.docs import documents
 from tests.docs.documents import DOCUMENTS, ROOT
-from tests.docs.measure_house import PACKAGES
+from tests.docs.measure_packages import PACKAGES
 
 VOCABULARY = ROOT / "docs" / "vocabulary.md"
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))

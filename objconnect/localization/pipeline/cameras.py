@@ -145,8 +145,8 @@ def estimate_camera(
     through the misfits interpolates the focal length.
 
     Args:
-        cameras: candidates (``calibration_of``). Pinholes of ``_RELATIVE_FOCALS`` come last, shortest
-            first.
+        cameras: candidates (``calibration_of``). Pinholes of ``_RELATIVE_FOCALS`` come last,
+            shortest first.
         queries: photographs of the lens.
         localize: localizes a query.
     """

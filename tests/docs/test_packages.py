@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.docs.documents import ROOT
-from tests.docs.measure_house import LONG, LONGEST, PACKAGES, WIDE, lines_of, parameters_of
+from tests.docs.measure_packages import LONG, LONGEST, PACKAGES, WIDE, lines_of, parameters_of
 
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 

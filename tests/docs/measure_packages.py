@@ -1,7 +1,7 @@
 """Measure how long and how wide the product's code is.
 
-``python -m tests.docs.measure_house`` prints the table; with ``--write`` it also goes into
-docs/house.md.
+``python -m tests.docs.measure_packages`` prints the table; with ``--write`` it also goes into
+docs/packages.md.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ PACKAGES = (
 LONGEST = 400  # lines of a module
 LONG = 60  # lines of a function
 WIDE = 6  # parameters of a signature, self and cls left out
-_BEGIN = "<!-- figures: python -m tests.docs.measure_house -->\n"
+_BEGIN = "<!-- figures: python -m tests.docs.measure_packages -->\n"
 _END = "<!-- end -->"
 
 
@@ -104,13 +104,13 @@ def table() -> str:
 
 
 def main() -> None:
-    """Print the table and, where asked to, write it into docs/house.md."""
+    """Print the table and, where asked to, write it into docs/packages.md."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write", action="store_true", help="write it into docs/house.md, too")
+    parser.add_argument("--write", action="store_true", help="write it into docs/packages.md, too")
     made = table()
     print(made, end="")
     if parser.parse_args().write:
-        path = ROOT / "docs" / "house.md"
+        path = ROOT / "docs" / "packages.md"
         before, rest = path.read_text(encoding="utf-8").split(_BEGIN)
         after = rest.split(_END, 1)[1]
         path.write_text(before + _BEGIN + made + _END + after, encoding="utf-8")
