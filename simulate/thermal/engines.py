@@ -19,9 +19,11 @@ _ENGINES: Final[dict[str, tuple[float, float]]] = {
     "truck": (0.32, 0.06),
     "tractor": (0.05, 0.1),
 }
-_ENGINE_K: Final = 22.0  # of a bonnet over its surroundings, in traffic
-_UNDER_K: Final = 9.0  # of tyres, brakes and exhaust, and what is low beside them
-_LOW_SHARE: Final = -0.22  # of the height, below which these are
+# Excess temperatures of vehicles in traffic: of the bonnet, and of the low parts (tyres, brakes and
+# exhaust). Low parts lie below this height from the vehicle's centre, as a share of its height.
+_ENGINE_K: Final = 22.0
+_UNDER_K: Final = 9.0
+_LOW_SHARE: Final = -0.22
 _COOLING_H: Final = 0.7  # time constant of an engine that was switched off
 _PARKED_H: Final = 5.0  # mean time for which vehicles have been parked
 

@@ -68,9 +68,9 @@ def cells(queries: Sequence[BoardQuery]) -> Iterator[Cell]:
 
 
 def shared_cells(queries: Sequence[BoardQuery], runs: Sequence[BoardRun]) -> Iterator[Cell]:
-    """Yield the cells with those queries only that every run was asked.
+    """Yield the cells, each with only those queries on which every run was made.
 
-    A cell without such queries is left out, and all are if every run was asked every query.
+    A cell without such queries is left out. If every run has every query, nothing is yielded.
     """
     shared = np.array([run.has for run in runs]).all(axis=0)
     if np.array_equal(shared, np.array([run.has for run in runs]).any(axis=0)):

@@ -54,7 +54,7 @@ class HeldOut(Record):
 
 
 def refuse_held_out(scenes: Iterable[Scene], tracks: Mapping[str, HeldOut]) -> None:
-    """Refuse scenes that have what a track holds out.
+    """Refuse scenes with conditions, presets, lenses or seeds that a track holds out.
 
     Args:
         scenes: scenes that a training would learn from or choose by.
