@@ -122,7 +122,7 @@ def _preset_defaults(preset: str) -> dict[str, Any]:
         return {}
     return {
         "area": 300.0,
-        "frames": 120,  # of a map session: one every 4 m in both directions
+        "frames": 120,  # a map session then has a frame every 4 m in both directions
         "sessions": (
             *_drive("summer-noon", "map"),
             *_drive("summer-noon", "query", -0.5),

@@ -29,7 +29,7 @@ _PRIOR_WEIGHTS: Final = np.array([0.0, 1.0, 0.0, 0.0])
 _CENTRE: Final = np.array([0.0, 0.0, 3.0, 5.0])
 # Strength of the ridge penalty on the difference from ``_PRIOR_WEIGHTS``.
 _RIDGE: Final = np.array([0.3, 3.0, 3.0, 3.0])
-_ITERATIONS: Final = 50  # of Newton's method
+_ITERATIONS: Final = 50  # number of Newton steps
 _PSEUDO_COUNT: Final = 0.5  # added to the number of views with a fix and to that of the others
 # The risk of a false fix is computed as if there were this many more views, of which a share of
 # ``Calibration.false_share`` were false fixes.

@@ -17,7 +17,7 @@ from objconnect.scene.storage.images import read_rgb
 _COLUMNS: Final = 5
 _SIDE: Final = 224
 _GAP: Final = 4
-_QUALITY: Final = 85  # of the JPEG file, 0 to 100
+_QUALITY: Final = 85  # quality of the JPEG file, 0 to 100
 
 
 def preview_name(scene: str) -> str:

@@ -140,7 +140,8 @@ def _run(run: Run, names: Sequence[str], entries: Mapping[str, Entry]) -> dict[s
             _query(by_name[name], entries.get(name)) if name in by_name else None for name in names
         ],
         "basin": _basin(run),
-        # For every judged threshold, the percentage of correct poses among the most certain k.
+        # The percentage of correct poses among the most certain k, at every threshold that the
+        # reference poses judge.
         "surest": [
             None
             if str(threshold) in results.dataset.unjudged

@@ -16,7 +16,7 @@ from objconnect.scene.storage.atomic import atomic_write
 from objconnect.scene.storage.provenance import PNG_METADATA
 
 _DPI = 110
-_SIDE = 8.0  # of a panel, inches
+_SIDE = 8.0  # side of a panel, inches
 # Colours of objects with and without a point in the map, and of added points.
 _WITH_POINT, _WITHOUT_POINT, _ADDED = "#189a3c", "#e02a1f", "#d61ec0"
 

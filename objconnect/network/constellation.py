@@ -81,7 +81,8 @@ class ConstellationGraph(nn.Module):
         near = torch.zeros(shape, dtype=torch.long, device=device)
         exists = torch.zeros(shape, device=device)
         if count > 0:
-            # In parts, because all distances of a large map do not fit into memory.
+            # Rows are computed in parts, because all distances of a large map do not fit into
+            # memory.
             for first in range(0, len(xy), _AT_ONCE):
                 last = min(first + _AT_ONCE, len(xy))
                 rows = torch.arange(first, last, device=device)

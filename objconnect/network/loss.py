@@ -126,7 +126,8 @@ def object_confidence_loss(confidence: Tensor, target: Tensor, counts: Tensor) -
         target: (B, N) from ``measure_correspondence``.
         counts: (B, N) bool, which objects count.
     """
-    # In single precision, because one minus a small number would be one in half precision.
+    # The loss is computed in single precision, because in half precision one minus a small number
+    # would be one.
     p = confidence.float().clamp(1e-4, 1 - 1e-4)
     entropy = -(target * p.log() + (1 - target) * (1 - p).log())
     return (entropy * counts).sum() / counts.sum().clamp(min=1)

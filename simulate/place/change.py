@@ -29,7 +29,7 @@ VEHICLES = ("car", "van", "truck")
 LOOSE = (*VEHICLES, "tractor", "container", "bench", "bin", "table", "pallet", "bale")
 """Classes of objects that a change can remove or add."""
 
-_LEAFY_PREFIX, _BARE_PREFIX = "broadleaf_", "bare_"  # of shapes of trees
+_LEAFY_PREFIX, _BARE_PREFIX = "broadleaf_", "bare_"  # prefixes of the shapes of trees
 _BAY_M = 2.6  # distance between the middles of vehicles side by side
 _GAP_M = 0.3  # free space around a moved or added object, per side
 _TRIES = 60  # random positions that are tried for each object

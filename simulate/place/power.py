@@ -17,7 +17,7 @@ _POLE_SPACING_M = 42.0  # distance between poles
 _WIRE_HEIGHT_M = 8.75  # height of the wires above the ground at a pole
 WIRE_SPACING_M = 1.7  # distance between the two wires
 WIRE_RADIUS_M = 0.03
-_SAG = 0.02  # of a wire, as a share of its span
+_SAG = 0.02  # sag of a wire, as a share of its span
 
 
 def power_lines(builder: PlaceBuilder) -> None:

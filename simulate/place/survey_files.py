@@ -13,7 +13,7 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.storage.atomic import atomic_write
 from simulate.place.world import Ground, Heightfield, Imagery, World
 
-_NEUTRAL_TONE: Final = 128  # of ``Ground.tone``; sites have no parcels
+_NEUTRAL_TONE: Final = 128  # value of ``Ground.tone``, because sites have no parcels
 
 
 def make_ground(labels: NDArray[np.uint8], texel_m: float) -> Ground:

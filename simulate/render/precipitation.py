@@ -19,7 +19,7 @@ from simulate.look.conditions import Condition
 Array = NDArray[np.float64]
 
 _NEAREST_M: Final = 0.35  # smallest distance of particles
-_EXPOSURE_S: Final = 1 / 160  # of photographs in rain and snowfall
+_EXPOSURE_S: Final = 1 / 160  # exposure time of photographs in rain and snowfall
 _NIGHT_EXPOSURE_S: Final = 1 / 30
 _DRIFT_MS: Final = 3.0  # standard deviation of the camera's horizontal speed in the air, per axis
 _SHIFT: Final = 3  # fractional bits of OpenCV's sub-pixel drawing

@@ -25,7 +25,7 @@ _C: Final = 299792458.0  # speed of light, m/s
 _K: Final = 1.380649e-23  # Boltzmann constant, J/K
 # With this step, linear interpolation is within 1e-6 K of the integral.
 _STEP_K: Final = 0.01
-_NODES: Final = 24  # of the Gauss-Legendre quadrature, whose error is below 1e-12
+_NODES: Final = 24  # nodes of the Gauss-Legendre quadrature, whose error is then below 1e-12
 
 
 def integrate_planck(kelvin: ArrayLike) -> Array:

@@ -19,7 +19,8 @@ from simulate.thermal.weather import HOURS, STEFAN_BOLTZMANN, ZERO_C, ThermalWea
 Float = NDArray[np.float32]
 
 _INDOORS_K: Final = ZERO_C + 20.0
-_WET_EVAPORATION: Final = 0.5  # of the sunlight on a soaked surface
+# Share of the sunlight on a soaked surface that evaporates its water.
+_WET_EVAPORATION: Final = 0.5
 
 
 class Surfaces:

@@ -32,26 +32,29 @@ STEFAN_BOLTZMANN: Final = 5.670374419e-8
 HOURS: Final = 13
 """Number of hours, the present one included, over which surfaces remember the weather."""
 
-_SOLAR_W: Final = 1353.0  # of Meinel's formula
+_SOLAR_W: Final = 1353.0  # solar constant in Meinel's formula, W/m2
 _DIFFUSE, _DIFFUSE_OF_CLOUD = 0.11, 0.16  # shares of sunlight that the sky scatters down
 _LEAST_SUN_DEG: Final = 2.0  # below it, the direct sun is left out
 _WARMEST_HOUR: Final = 15.0
-_SWING_K, _SWING_OF_CLOUD_K = 6.0, 2.0  # half of the difference of day and night
-_SWING_OVER_SNOW: Final = 0.6  # share of it over snow
-_CLOUD_COOLER_K: Final = 8.0  # of the base of clouds than the air at the ground
-_DIFFUSIVITY: Final = (
-    1.66  # of the path through the sky, mean over its directions, by the vertical one
-)
+# Half the difference between day and night under a clear sky and under clouds, and the share of it
+# that remains over snow.
+_SWING_K, _SWING_OF_CLOUD_K = 6.0, 2.0
+_SWING_OVER_SNOW: Final = 0.6
+# The base of clouds is colder than the air at the ground by this.
+_CLOUD_COOLER_K: Final = 8.0
+# Mean length of paths through the sky over all directions, divided by that of the vertical path.
+_DIFFUSIVITY: Final = 1.66
 # Extinction by water vapour between 8 and 14 micrometres, 1/m per hPa: about 30 % in a kilometre of
 # summer air.
 _VAPOUR_EXTINCTION: Final = 2.5e-5
 _FOG_M: Final = 1000.0  # with less visibility, droplets are as large as the wavelength
-_FOG_EXTINCTION: Final = 0.5  # of fog, rain and snowfall, by that of light
+# Extinction by fog, rain and snowfall in the thermal band, divided by that of light.
+_FOG_EXTINCTION: Final = 0.5
 
 
 @dataclass(frozen=True)
 class ThermalWeather:
-    """What surfaces meet in the hours before a flight; element k of an array is k hours ago.
+    """The weather of the hours before a flight; element k of an array is k hours ago.
 
     Attributes:
         air_k: Temperature (HOURS,) of the air, kelvin.
@@ -154,7 +157,7 @@ def _mean_air_c(condition: Condition, origin: Geodetic) -> float:
 
 
 def _water_c(condition: Condition, origin: Geodetic) -> float:
-    """Return the temperature of lakes, degrees Celsius, which follow the air by 18 days."""
+    """Return the temperature of lakes, degrees Celsius; it follows the air 18 days later."""
     return max(2.0, 1.0 + _yearly_c(condition, origin, coldest_day=40.0))
 
 

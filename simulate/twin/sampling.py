@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 Float = NDArray[np.float32]
 
 _ROWS = 256  # rows of the grid that are computed at once
-_MARGIN_PX = 3.0  # of the raster around the grid
+_MARGIN_PX = 3.0  # margin of the raster that is read around the grid
 
 
 class Cells(NamedTuple):

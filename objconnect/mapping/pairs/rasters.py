@@ -90,7 +90,8 @@ def place_picture(picture: Path, homography: Array, mapped: Raster, out: Path) -
             f"{picture} would become {columns} x {rows} pixels, more than {_MAX_SIDE_PX} along a "
             "side: cut it into parts or make it smaller"
         )
-    # From pixels of the written file to pixels of ``mapped``, centres of first pixels at (0, 0).
+    # The matrix converts pixels of the written file to pixels of ``mapped``; in both, the centre of
+    # the first pixel is (0, 0).
     first = low + 0.5 * scale - 0.5
     to_mapped = np.array([[scale, 0, first[0]], [0, scale, first[1]], [0, 0, 1]])
     warp, size = np.linalg.inv(to_mapped) @ homography, (columns, rows)

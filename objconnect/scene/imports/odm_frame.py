@@ -39,7 +39,7 @@ TOPOCENTRIC: Final = "reconstruction.topocentric.json"
 _REMEDY: Final = f"give ODM's {TOPOCENTRIC}, or keep odm_georeferencing/coords.txt in its project"
 _FRAME_OF_NAME: Final[dict[str, CoordinateFrame]] = {
     TOPOCENTRIC: "topocentric",
-    "reconstruction.geocoords.json": "projected",  # of export_geocoords
+    "reconstruction.geocoords.json": "projected",  # written by OpenSfM's export_geocoords
 }
 _FRAME_OF_AXES: Final[dict[Axes, CoordinateFrame]] = {
     "east and north": "topocentric",
@@ -178,7 +178,8 @@ def _is_transformed(projected: Array, enu_poses: Array) -> bool:
 
 def _system_of(path: Path) -> tuple[NamedSystem, Array] | None:
     """Return the projected system of ODM's project and its offset (2,), from coords.txt."""
-    parent = path.parent.resolve()  # of a relative path, ``parent.parent`` may be ``parent``
+    # The path is made absolute, because ``parent.parent`` of a relative one may equal ``parent``.
+    parent = path.parent.resolve()
     for folder in (parent / "odm_georeferencing", parent.parent / "odm_georeferencing"):
         for file in (folder / "coords.txt", folder / "odm_georeferencing_model_geo.txt"):
             if file.is_file():
