@@ -102,7 +102,7 @@ def regress(results: Path, baseline: Path) -> list[Comparison]:
     Raises:
         InputError: there is no baseline, it is ``results`` itself, or a results file is missing,
             damaged, from other data or another start than the baseline, or with reference poses
-            that judge no figure.
+            that are too inexact for any figure.
     """
     if results.resolve() == baseline.resolve():
         raise InputError(f"{results} is compared with itself: name the baseline with --against")
@@ -192,7 +192,7 @@ def _compare(before: Results, after: Results, name: str) -> Iterator[Comparison]
 def _figures(before: Results, after: Results) -> tuple[Mapping[str, _IsGood], ...]:
     """Return functions that test whether a query is good, by figure: recall, then integrity.
 
-    Figures that the reference poses do not judge, or whose prior is unknown, are left out.
+    Figures for which the reference poses are too inexact, or whose prior is unknown, are left out.
     """
     unjudged = {*before.dataset.unjudged, *after.dataset.unjudged}
     recall = {t.key: partial(is_correct, threshold=t) for t in THRESHOLDS if str(t) not in unjudged}

@@ -78,7 +78,7 @@ class D2Net(nn.Module):
         Returns:
             Features (B, C, H // 8, W // 8), of either sign.
         """
-        features: Tensor = self.dense_feature_extraction(_to_caffe_colours(images))
+        features: Tensor = self.dense_feature_extraction(_convert_to_caffe(images))
         return features
 
     def dense(self, images: Tensor) -> Tensor:
@@ -94,7 +94,7 @@ class D2Net(nn.Module):
         Returns:
             Features (B, C, H // 4 - 1, W // 4 - 1), not negative.
         """
-        values = _to_caffe_colours(images)
+        values = _convert_to_caffe(images)
         poolings = 0
         for layer in self.dense_feature_extraction[0].children():
             poolings += isinstance(layer, nn.MaxPool2d)
@@ -152,7 +152,7 @@ def soft_scores(features: Tensor) -> Tensor:
     return scores / total
 
 
-def _to_caffe_colours(images: Tensor) -> Tensor:
+def _convert_to_caffe(images: Tensor) -> Tensor:
     """Convert RGB (B, 3, H, W) in 0..1 to BGR in 0..255 with the means subtracted."""
     means = images.new_tensor(_MEANS).view(3, 1, 1)
     return images.flip(1) * 255 - means

@@ -65,7 +65,7 @@ class D2NetTraining:
             features = self.network(images)
         features = features.float()
         a, b = features.chunk(2)
-        inside = _inside(batch.xy_a, batch.image_a) & _inside(batch.xy_b, batch.image_b)
+        inside = _lie_inside(batch.xy_a, batch.image_a) & _lie_inside(batch.xy_b, batch.image_b)
         valid = batch.valid & inside
         cells = batch.xy_a / STRIDE, batch.xy_b / STRIDE
         losses = contrastive(a, b, *cells, valid)
@@ -111,7 +111,7 @@ def start_from(path: Path) -> D2Net:
     return network
 
 
-def _inside(xy: Tensor, images: Tensor) -> Tensor:
+def _lie_inside(xy: Tensor, images: Tensor) -> Tensor:
     """Return whether pixels (B, N, 2) are inside images, (B, N); NaN is not."""
     size = xy.new_tensor([images.shape[3], images.shape[2]])
     return ((xy >= 0) & (xy <= size)).all(-1)

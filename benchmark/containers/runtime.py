@@ -23,9 +23,9 @@ OUTPUT: Final = "/output"
 """Folder in the container for ``poses.txt``."""
 
 _DOCKER: Final = "docker"
-# It does not begin with a dash, so that an image is never taken for an option.
+# Names of images do not begin with a dash, so that none is taken for an option.
 _IMAGE: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._/:@-]{0,254}")
-# Docker's own exit status, when it could not start the container, and that of a killed container.
+# Exit status of Docker if it could not start the container, and that of a killed container.
 _NOT_STARTED: Final = 125
 _KILLED: Final = 137
 # Number of last bytes of a program's output that are kept, and of characters of a message.

@@ -79,21 +79,21 @@ class FlightReader:
         """Return whether a path is a flight's folder, or that folder with the ending "-sparse"."""
         if path.is_dir():
             return is_flight(path)
-        folder = _without_suffix(path)
+        folder = _strip_suffix(path)
         return folder != path and is_flight(folder)
 
     def open(self, path: Path) -> list[Dataset]:
         """Open a flight; ``open_flight`` says which errors are raised."""
         if path.is_dir():
             return open_flight(path)
-        datasets = open_flight(_without_suffix(path), sparse=True)
+        datasets = open_flight(_strip_suffix(path), sparse=True)
         return [dataset for dataset in datasets if dataset.name == path.name]
 
 
 READER: Final = FlightReader()
 
 
-def _without_suffix(path: Path) -> Path:
+def _strip_suffix(path: Path) -> Path:
     """Return a path without the ending "-sparse" that names the hard split."""
     return path.with_name(path.name.removesuffix(SPARSE_SUFFIX)) if path.name else path
 

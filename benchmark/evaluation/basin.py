@@ -254,7 +254,7 @@ def _count_level(size: Size, answers: Sequence[QueryResult]) -> Level:
         correct=_count_correct(answers),
         by_course={
             course: CourseCounts(queries=len(flown), correct=_count_correct(flown))
-            for course, flown in _by_course(answers).items()
+            for course, flown in _group_by_course(answers).items()
         },
     )
 
@@ -264,7 +264,7 @@ def _count_correct(answers: Sequence[QueryResult]) -> dict[str, int]:
     return {t.key: sum(is_correct(answer, t) for answer in answers) for t in THRESHOLDS}
 
 
-def _by_course(answers: Sequence[QueryResult]) -> dict[str, list[QueryResult]]:
+def _group_by_course(answers: Sequence[QueryResult]) -> dict[str, list[QueryResult]]:
     courses: dict[str, list[QueryResult]] = {}
     for answer in answers:
         courses.setdefault(answer.cluster, []).append(answer)

@@ -98,7 +98,7 @@ class Description:
     Attributes:
         summary: what it is.
         making: how it was made.
-        cost: what it cost to make, and takes to store.
+        cost: what it cost to make, and how much storage it takes.
         annotation: where poses, cameras and priors come from.
         limitations: what it cannot show.
         biases: how it differs from the real world.

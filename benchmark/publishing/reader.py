@@ -82,14 +82,14 @@ def open_sealed(path: Path) -> list[Task]:
     """
     folder = _folder(path)
     opened = [_open(folder, scene, sealed=True) for scene in read_index(folder).scenes]
-    return [_without_references(dataset) for dataset in opened]
+    return [_drop_references(dataset) for dataset in opened]
 
 
 def _folder(path: Path) -> Path:
     return download(path, "dataset", without=_NOT_READ) if is_address(path) else path
 
 
-def _without_references(dataset: Dataset) -> Task:
+def _drop_references(dataset: Dataset) -> Task:
     queries = tuple(query.without_reference() for query in dataset.queries)
     parts = parts_of(dataset.model, dataset.images, dataset.load_map().names, queries)
     return Task(

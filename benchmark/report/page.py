@@ -140,8 +140,7 @@ def _run(run: Run, names: Sequence[str], entries: Mapping[str, Entry]) -> dict[s
             _query(by_name[name], entries.get(name)) if name in by_name else None for name in names
         ],
         "basin": _basin(run),
-        # The percentage of correct poses among the most certain k, at every threshold that the
-        # reference poses judge.
+        # Percentage of correct poses among the most certain k, at every judged threshold.
         "surest": [
             None
             if str(threshold) in results.dataset.unjudged
@@ -348,7 +347,7 @@ class _PagePhotographs:
     """
 
     def __init__(self, groups: Sequence[Group], albums: Sequence[Album | None]) -> None:
-        ranked = list(dict.fromkeys(_by_rank(groups, albums)))
+        ranked = list(dict.fromkeys(_iterate_by_rank(groups, albums)))
         total = sum(len(photograph) for photograph in ranked) * _BASE64
         side = max(_MIN_SIDE, math.floor(SIDE * (PICTURE_BYTES / max(total, 1)) ** (1 / _GROWTH)))
         self.pictures: list[str] = []
@@ -376,7 +375,7 @@ def shrink(photograph: bytes, side: int) -> bytes:
         return webp(np.asarray(image.convert("RGB")), side)
 
 
-def _by_rank(groups: Sequence[Group], albums: Sequence[Album | None]) -> Iterator[bytes]:
+def _iterate_by_rank(groups: Sequence[Group], albums: Sequence[Album | None]) -> Iterator[bytes]:
     """Yield the photographs of every run's worst query, its best, its second worst, and so on."""
     ranked = [
         (album, [query.name for query in sorted(run.results.queries, key=_badness)])

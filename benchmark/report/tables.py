@@ -254,12 +254,12 @@ def _judge_alike(members: Sequence[tuple[Path, Results]]) -> list[tuple[Path, Re
     return [
         (path, run)
         if run.dataset.unjudged == stated
-        else (path, rescore(run.model_copy(update={"dataset": _with_unjudged(run, stated)})))
+        else (path, rescore(run.model_copy(update={"dataset": _set_unjudged(run, stated)})))
         for path, run in members
     ]
 
 
-def _with_unjudged(run: Results, unjudged: tuple[str, ...]) -> DatasetId:
+def _set_unjudged(run: Results, unjudged: tuple[str, ...]) -> DatasetId:
     return run.dataset.model_copy(update={"unjudged": unjudged})
 
 

@@ -1,6 +1,6 @@
 """Seeds of sealed places, which follow from a key that only the organiser has.
 
-The code, the configuration and the map of a sealed place are public. Whoever knew its seed could
+The code, the configuration and the map of a sealed place are public. Anyone who knew its seed could
 plan the same flights, and so compute the poses of the queries.
 """
 

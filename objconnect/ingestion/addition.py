@@ -355,7 +355,9 @@ def _write_lists(out: Path, source: _Source, model: SparseMap, names: Sequence[s
     points = [
         sample_points(model, name, COVISIBILITY_POINTS)
         if name in model.images
-        else sample_evenly(_in_view(model.xyz, cameras[name], poses[name]), COVISIBILITY_POINTS)
+        else sample_evenly(
+            _select_in_view(model.xyz, cameras[name], poses[name]), COVISIBILITY_POINTS
+        )
         for name in all_names
     ]
     overlap = visible_share(
@@ -368,7 +370,7 @@ def _write_lists(out: Path, source: _Source, model: SparseMap, names: Sequence[s
     return splits
 
 
-def _in_view(xyz: Array, camera: Camera, cam_from_world: Array) -> Array:
+def _select_in_view(xyz: Array, camera: Camera, cam_from_world: Array) -> Array:
     """Return the points (N, 3) that project into a picture; occlusion is not tested."""
     import torch
 

@@ -70,7 +70,7 @@ def encode(encoder: nn.ModuleList, image: Tensor, finest: int = 1) -> list[Tenso
     pooling, others = second[0], second[1:]
     blocks = []
     if finest > 1 and not encoder.training:
-        maps = _in_strips(nn.Sequential(first, pooling), image)
+        maps = _run_in_strips(nn.Sequential(first, pooling), image)
     else:
         maps = first(_normalise(image))
         if finest == 1:
@@ -94,7 +94,7 @@ def _normalise(image: Tensor) -> Tensor:
     return torch.addcmul(-mean / std, image, 1 / std)  # in one pass
 
 
-def _in_strips(layers: nn.Module, image: Tensor) -> Tensor:
+def _run_in_strips(layers: nn.Module, image: Tensor) -> Tensor:
     """Apply the first block and its pooling to an image in strips of rows.
 
     The full maps of the block would take several times the memory of the result. All strips have

@@ -4,7 +4,7 @@ A node is an object with its centre and vector. Edges to its nearest neighbours 
 in metres. The same network describes the objects of a photograph, laid out on the ground under an
 assumed heading and height, and the objects of a map, so that the two can be compared.
 
-Layers have the names of the weights in files.
+The names of the layers are the keys in files of weights.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ from objconnect.network.object_matching import ObjectMatcher
 from objconnect.network.object_pairs import Bounds
 from objconnect.scene.localizer import Prior, Query
 
-# Number of headings over the full turn, around each of which objects may agree.
+# Number of evenly spaced headings that are tried if the heading is unknown. Poses near them count.
 _HEADINGS: Final = 24
 
 

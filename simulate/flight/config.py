@@ -266,7 +266,7 @@ class PlanFlight(_Flight):
     @model_validator(mode="before")
     @classmethod
     def _take_digest(cls, values: object) -> object:
-        return _with_digest(values, "file", plan_digest)
+        return _add_digest(values, "file", plan_digest)
 
     @property
     def counts_photographs(self) -> bool:
@@ -286,14 +286,14 @@ class FlownFlight(_Flight):
     @model_validator(mode="before")
     @classmethod
     def _take_digest(cls, values: object) -> object:
-        return _with_digest(values, "scene", scene_digest)
+        return _add_digest(values, "scene", scene_digest)
 
     @property
     def counts_photographs(self) -> bool:
         return True
 
 
-def _with_digest(values: object, field: str, digest: Callable[[Path], str]) -> object:
+def _add_digest(values: object, field: str, digest: Callable[[Path], str]) -> object:
     """Add the digest of the path in a field, unless it exists or there is no path."""
     if not isinstance(values, dict) or values.get("sha256"):
         return values

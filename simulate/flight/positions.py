@@ -59,7 +59,7 @@ class Positions:
             target[2] = self.ground(target)
             return target
         if has_no_location and goal.command in (Mav.TAKEOFF, Mav.VTOL_TAKEOFF, Mav.LOITER_TO_ALT):
-            return self._at_height(at, goal.number(6, "altitude"), goal.height_reference())
+            return self._move_to_height(at, goal.number(6, "altitude"), goal.height_reference())
         return self.position_of(goal)
 
     def position_of(self, command: Command) -> Array:
@@ -107,9 +107,9 @@ class Positions:
         if above is Above.SEA:
             altitude = height + (self._geoid_m or 0.0)
         position = enu_from_geodetic(Geodetic(latitude, longitude, altitude), self._origin)
-        return position if above is Above.SEA else self._at_height(position, height, above)
+        return position if above is Above.SEA else self._move_to_height(position, height, above)
 
-    def _at_height(self, at: Array, height: float, above: Above) -> Array:
+    def _move_to_height(self, at: Array, height: float, above: Above) -> Array:
         """Return a position at a height above a reference; the earth's curvature is neglected."""
         if above is Above.SEA:
             up = height + (self._geoid_m or 0.0) - self._origin.altitude

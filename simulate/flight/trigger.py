@@ -88,11 +88,11 @@ class Triggers:
             case Mav.DIGICAM_CONTROL:
                 return self._digicam(command)
             case Mav.TRIGGER_DISTANCE:
-                return self._by_distance(command)
+                return self._trigger_by_distance(command)
             case Mav.OBLIQUE_SURVEY:
                 self._oblique(command)
             case Mav.TRIGGER_INTERVAL:
-                return self._by_cycle(command)
+                return self._trigger_by_cycle(command)
             case Mav.TRIGGER_CONTROL:
                 return self._control(command)
             case Mav.START_CAPTURE:
@@ -147,7 +147,7 @@ class Triggers:
             raise command.error(f"has the shoot command {shoot:g} (params[4])", "set it to 1")
         return shoot == 1
 
-    def _by_distance(self, command: Command) -> bool:
+    def _trigger_by_distance(self, command: Command) -> bool:
         every = command.number(0, "distance")
         at_once = command.number(2, "trigger at once") if every > 0 else command.params[2] or 0
         if at_once not in (0, 1):
@@ -172,7 +172,7 @@ class Triggers:
             )
         self._stop(command, Mav.TRIGGER_DISTANCE)
 
-    def _by_cycle(self, command: Command) -> bool:
+    def _trigger_by_cycle(self, command: Command) -> bool:
         """Execute MAV_CMD_DO_SET_CAM_TRIGG_INTERVAL, whose cycle is in milliseconds.
 
         The first cycle begins with a photograph.

@@ -1,4 +1,4 @@
-"""Meshes of single objects: buildings, and what follows the ground."""
+"""Meshes of single objects: buildings, and objects that follow the ground."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ def lay_kerbs(roads: Iterable[Road], ground: Ground) -> tuple[Kerb, ...]:
         for side in (1.0, -1.0):
             kerbs += [
                 _kerb(road, side, start, end)
-                for start, end in _runs(_on_pavement(road, side, ground, half))
+                for start, end in _runs(_is_pavement(road, side, ground, half))
                 if end - start > _MIN_KERB_M
             ]
     return tuple(kerbs)
@@ -88,12 +88,12 @@ class PavementHeights:
         return rise
 
 
-def _on_pavement(road: Road, side: float, ground: Ground, half_m: float) -> NDArray[np.bool_]:
+def _is_pavement(road: Road, side: float, ground: Ground, half_m: float) -> NDArray[np.bool_]:
     """Return whether the verge of a road is pavement, at every ``_STEP_M`` along it."""
     at = np.arange(0.0, polyline_length(road.line), _STEP_M)
     pavement = np.ones(len(at), bool)
     for away_m in _SAMPLED_M:
-        points = _beside(road, side * (0.5 * road.width_m + away_m), at)
+        points = _offset_points(road, side * (0.5 * road.width_m + away_m), at)
         pavement &= ground.label(*points.T) == CLASSES["pavement"]
         pavement &= (np.abs(points) < half_m).all(1)
     return pavement
@@ -114,10 +114,14 @@ def _kerb(road: Road, side: float, start: float, end: float) -> Kerb:
     rise = np.full(len(at), KERB_HEIGHT_M)
     rise[[0, -1]] = 0.0
     edge = 0.5 * road.width_m
-    return Kerb(_beside(road, side * edge, at), _beside(road, side * (edge + PAVEMENT_M), at), rise)
+    return Kerb(
+        _offset_points(road, side * edge, at),
+        _offset_points(road, side * (edge + PAVEMENT_M), at),
+        rise,
+    )
 
 
-def _beside(road: Road, left_m: float, at_m: Array) -> Array:
+def _offset_points(road: Road, left_m: float, at_m: Array) -> Array:
     """Return points (N, 2) ``left_m`` to the left of a road's centre line.
 
     Normals are interpolated between corners, so that kerbs meet the edges of ``ribbon``.

@@ -27,8 +27,8 @@ def fronts(builder: PlaceBuilder, block: Block) -> None:
     inner = _SETBACK_M + _DEPTH_M
     for side in (1, -1):
         # The only passage leads through the row along the first street.
-        way_in = builder.rng.uniform(0.4, 0.6) * length if side > 0 else None
-        _row(builder, block, side, 0.0, (_SETBACK_M, length - _SETBACK_M), way_in)
+        passage_m = builder.rng.uniform(0.4, 0.6) * length if side > 0 else None
+        _row(builder, block, side, 0.0, (_SETBACK_M, length - _SETBACK_M), passage_m)
     for side in (1, -1):
         span = (inner + 0.1, depth - inner - 0.1)
         _row(builder, block, side, 0.5 * np.pi, span, None)
@@ -47,13 +47,13 @@ def _row(
     side: int,
     turn: float,
     span: tuple[float, float],
-    way_in: float | None,
+    passage_m: float | None,
 ) -> None:
     """Place buildings along one street of a block.
 
     ``turn`` is 0 for a street along the block's length and a quarter turn for one along its depth.
     ``span`` is the first and the last metre of the buildings along the street.
-    ``way_in`` is the position of the passage in metres, or None.
+    ``passage_m`` is the position of the passage in metres, or None.
     """
     frame = block.front(side)
     start, end = span
@@ -62,7 +62,7 @@ def _row(
         corners.append(corners[-1] + float(builder.rng.uniform(9.0, 15.0)))
     corners.append(end)
     for first, last in pairwise(corners):
-        if way_in is not None and first <= way_in < last:
+        if passage_m is not None and first <= passage_m < last:
             lane = frame.quad(first, first + _PASSAGE_M, -PAVEMENT_M - 0.8, _DEPTH_M + 3.0)
             builder.paint("driveway", lane, float(builder.rng.random()))
             first += _PASSAGE_M

@@ -32,7 +32,8 @@ Array = NDArray[Any]
 
 _LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722], np.float32)
 _LEAST_ALBEDO, _MOST_ALBEDO = 0.03, 0.88
-_SNOW_ALBEDO: Final = (0.32, 0.55)  # visible albedo at which the ground begins to be snow, and is
+# Visible albedo above which snow begins to cover the ground, and at which the ground is all snow.
+_SNOW_ALBEDO: Final = (0.32, 0.55)
 _SNOW_KEPT: Final = 0.6  # share of level surfaces of objects under snow, in seasons of deep snow
 _SNOW_EMISSIVITY: Final = 0.985
 _WET_EMISSIVITY: Final = 0.97

@@ -25,7 +25,8 @@ BLUR_PX: Final = 0.6
 
 _NOISE_AT_K: Final = 300.0
 _KELVIN_PER_COUNT: Final = 0.01
-_MIRRORED_K: Final = 3.0  # by which level surfaces look colder, as they mirror the sky
+# Level surfaces look colder by up to this, because they mirror the sky.
+_MIRRORED_K: Final = 3.0
 # Substances that mirror the sky or are small do not widen the range of 8 bits.
 _UNUSUAL: Final = ("bare sheet", "solar cell", "rubber", "iron")
 

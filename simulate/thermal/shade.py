@@ -20,13 +20,14 @@ Array = NDArray[np.float64]
 _LEAST_CELL_M: Final = 0.4
 _MOST_CELLS: Final = 1200  # per side
 _OUTSIDE_M: Final = -1e4  # height beyond the place, where nothing gives shade
-# Classes that give no shade worth a cell, because they are thin or let the sky through.
+# Classes whose shade is ignored, because they are thin or let the sky through.
 _THIN: Final = ("wire", "pole", "lamp", "sign", "fence", "crane", "bollard", "hydrant")
 # Height over which the edge of a shadow fades: now, and in past hours, in which the sun moved on.
 _SOFT_M, _SOFT_OF_AN_HOUR_M = 0.5, 2.5
-# Height of the solid part of objects by that of their box. Masts give no shade.
+# Height of the solid part of objects, as a share of the height of their box. Masts give no shade.
 _SOLID: Final[dict[str, float]] = {"boat": 0.3}
-_CLEAR_M: Final = 0.15  # height by which shade must exceed a point, against that of its own cell
+# Shade must exceed a point by this height, so that a point is not shaded by its own cell.
+_CLEAR_M: Final = 0.15
 
 
 class Shade:

@@ -1,9 +1,9 @@
-"""What surfaces are made of, and how each substance takes and gives heat.
+"""The substances of surfaces, with their albedo, emissivity and heat transfer.
 
 Albedos and emissivities are rounded values within the ranges of Oke, Boundary Layer Climates (2nd
 edition, 1987), for natural and urban materials, and of the emissivity tables of manufacturers of
 thermal cameras for glass, paint and rubber. Time constants are those of the layer that follows the
-weather of hours: its heat capacity by the heat transfer.
+weather of the last hours: its heat capacity divided by the heat transfer.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ class Substance(NamedTuple):
 
     Attributes:
         albedo: Share of sunlight that it reflects, where its colour is not known.
-        infrared: Albedo in sunlight by that of the visible colour, where that is known. Leaves
-            reflect far more near infrared than light.
+        infrared: Ratio of the albedo in sunlight to that of the visible colour, used where the
+            colour is known. Leaves reflect far more near infrared than light.
         emissivity: Emissivity between 8 and 14 micrometres.
         hours: Time constant of its temperature, hours.
         transfer: Heat transfer to the air by convection, W/(m2 K), in light wind.
         evaporation: Share of the absorbed sunlight that evaporates water.
-        conductance: Heat transfer to what lies behind, W/(m2 K).
-        behind: What lies behind.
+        conductance: Heat transfer to the ground, water or room behind the surface, W/(m2 K).
+        behind: Which of these lies behind the surface.
     """
 
     albedo: float

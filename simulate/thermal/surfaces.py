@@ -57,8 +57,9 @@ class Surfaces:
         Args:
             substance: Numbers of their substances.
             albedo: Shares of sunlight that they reflect.
-            sunlight: Irradiance of the past hours by the weights of the substance, W/m2.
-            sky_view: Shares of the sky in what they face, 0 to 1.
+            sunlight: Irradiance averaged over the past hours with the weights of the substance,
+                W/m2.
+            sky_view: Shares of the sky in the half space that they face, 0 to 1.
         """
         return np.asarray(
             self._at_rest[substance]

@@ -326,12 +326,12 @@ def _runs(
                 for answer in run.queries
             }
             if answers:
-                listed = tuple(_on_course(answers, query) for query in queries)
+                listed = tuple(_set_course(answers, query) for query in queries)
                 declared = any(run.method.is_external for run in results.values())
                 yield BoardRun(start, method, listed, declared, authors.get(method), results)
 
 
-def _on_course(
+def _set_course(
     answers: Mapping[tuple[str, str], QueryResult], query: BoardQuery
 ) -> QueryResult | None:
     """Return the answer to a query, with its course within the track."""

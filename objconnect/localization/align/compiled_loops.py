@@ -84,7 +84,7 @@ def descend_compiled(
         max_steps=options.iterations,
         min_points=options.min_points,
     )
-    _in_parts(
+    _run_in_parts(
         partial(compile_loop(kernels.descend, _DESCEND), level, points, batch, descent_options),
         *used.shape,
     )
@@ -94,7 +94,7 @@ def descend_compiled(
     return State(final_pose, linearisation, torch.from_numpy(batch.steps_tried), damping_factors)
 
 
-def _in_parts(work: Callable[[int, int], None], poses: int, points: int) -> None:
+def _run_in_parts(work: Callable[[int, int], None], poses: int, points: int) -> None:
     """Call ``work`` with ranges of poses in as many threads as torch may use, this one included."""
     threads = min(torch.get_num_threads(), poses) if poses * points >= _WORTH_THREADS else 1
     first_part, *others = pairwise(poses * k // threads for k in range(threads + 1))

@@ -210,7 +210,7 @@ _Grid = tuple[Tensor, Tensor]
 
 def _grids(linearisation: Linearisation, side: float) -> list[_Grid]:
     """Return the patches of four grids half a side apart, because their borders are arbitrary."""
-    return [_by_patch(linearisation, side, (x, y)) for x in (0.0, 0.5) for y in (0.0, 0.5)]
+    return [_sum_by_patch(linearisation, side, (x, y)) for x in (0.0, 0.5) for y in (0.0, 0.5)]
 
 
 def _scatter(grids: list[_Grid]) -> tuple[Tensor, Tensor]:
@@ -246,7 +246,7 @@ def _estimate_scatter(gradients: Tensor, count: Tensor) -> Tensor:
     return gradients.transpose(-1, -2) @ gradients * correction[:, None, None]
 
 
-def _by_patch(linearisation: Linearisation, side: float, first: tuple[float, float]) -> _Grid:
+def _sum_by_patch(linearisation: Linearisation, side: float, first: tuple[float, float]) -> _Grid:
     """Sum gradients over square patches, (M, P, 6), and count the patches with points, (M,).
 
     Args:

@@ -35,8 +35,8 @@ class CoarsePoses(NamedTuple):
     Attributes:
         rotation: (P, 3, 3) ``cam_from_world``.
         altitude: (P,) metres above the ground.
-        middle: (P, 2) world metres, east and north: the middle of the ground in view. A change of
-            the attitude or the altitude leaves it, so that the parameters are nearly independent.
+        middle: (P, 2) world metres, east and north: the middle of the ground in view. It does not
+            change with attitude and altitude, so that the parameters are nearly independent.
     """
 
     rotation: Tensor

@@ -99,7 +99,7 @@ class Neighbours:
         worth = shared * self._rate_angles(row, distance)
         chosen = self._spread(row, candidates, worth[candidates], [])
         if len(chosen) < self._options.neighbours:
-            chosen = self._spread(row, *self._in_view(row, chosen), chosen)
+            chosen = self._spread(row, *self._find_in_view(row, chosen), chosen)
         return [self._map.names[other] for other in chosen]
 
     def depths(self, name: str) -> tuple[float, float]:
@@ -147,7 +147,7 @@ class Neighbours:
         best = math.radians(_BEST_ANGLE_DEG)
         return np.asarray(np.exp(-(np.log(angle / best) ** 2)))
 
-    def _in_view(
+    def _find_in_view(
         self, row: int, excluded: Sequence[int]
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Return the photographs, except ``excluded``, that have a photograph's scene in view.

@@ -107,7 +107,7 @@ class GlobalSearch:
         rivals: Rivals = []
         if matched is not None and matched.cam_from_world is not None:
             rivals = [(matched.cam_from_world, log_odds_of(matched.probability))]
-            answer, attempts = self._near_matches(query, matched, rivals, clock)
+            answer, attempts = self._align_near_matches(query, matched, rivals, clock)
             if answer is not None:
                 return answer
         options = self.refine.config.search
@@ -162,7 +162,7 @@ class GlobalSearch:
         options = self.refine.config.search
         return select_estimate(attempts, [fallback.pose], fallback.by, options, clock, rivals)
 
-    def _near_matches(
+    def _align_near_matches(
         self, query: Query, matched: Estimate, rivals: Rivals, clock: Stopwatch
     ) -> tuple[Estimate | None, list[Attempt]]:
         """Refine the pose by matches, the first of ``rivals``.

@@ -313,14 +313,14 @@ class FeaturemetricLocalizer:
             return attempts + self._try_starts(thorough, query, chosen, poses, clock)
         best, probability = likeliest(attempts)
         if probability > options.risk:
-            attempts.append(thorough.align_near(self._near_query(query), best.pose, clock))
+            attempts.append(thorough.align_near(self._prepare_near(query), best.pose, clock))
         return attempts
 
     def _searches_position(self, query: Query) -> bool:
         """Return whether the position of the query is unknown and the method searches for it."""
         return self.config.multistart and not has_position(query.prior)
 
-    def _near_query(self, query: Query) -> Query:
+    def _prepare_near(self, query: Query) -> Query:
         """Return the query for an alignment near a pose.
 
         If the query's reference images only gave the start, others near the pose replace them.
@@ -352,7 +352,7 @@ class FeaturemetricLocalizer:
                     if len(poses) > 1 or self._searches_position(query):
                         best, _ = likeliest(attempts)
                         attempts.append(
-                            refine.align_near(self._near_query(query), best.pose, clock)
+                            refine.align_near(self._prepare_near(query), best.pose, clock)
                         )
                     break
         return attempts
@@ -363,7 +363,7 @@ class FeaturemetricLocalizer:
             return []
         with clock.stage("matcher"):
             found = self.matched_finder.find(query)
-        near = self._near_query(query)
+        near = self._prepare_near(query)
         return [refine.align_near(near, each.pose, clock, MATCHES_RADIUS) for each in found]
 
     def _memory_left_mb(self, magnification: float) -> int:

@@ -71,8 +71,8 @@ class SearchOptions(Config):
     )
     matcher: dict[str, Any] | None = Field(
         None,
-        description="Another method, such as aliked+lightglue, whose pose is one more start where "
-        "the others give no answer; None for none. Its options follow it: "
+        description="Second method, such as aliked+lightglue, that is run if the method's own "
+        "starts give no answer; its pose is one more start. None for none. Its options follow it: "
         "search.matcher.method=aliked+lightglue and search.matcher.references=8.",
     )
 

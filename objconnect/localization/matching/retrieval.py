@@ -297,13 +297,13 @@ class References:
             rotation = query.prior.cam_from_world_rotation
             if rotation is not None and query.prior.has_heading and not tilt_invariant:
                 return self.viewpoints.most_similar(query.prior.position, rotation, k)
-            near = self._within_reach(query.prior)
+            near = self._find_within_reach(query.prior)
             if len(near) > k and any(map(len, described := describe())):
                 return self.index.rank(described, k, near)
             return self.viewpoints.nearest(query.prior.position, k)
         return self.index.rank(describe(), k)
 
-    def _within_reach(self, prior: Prior) -> Rows:
+    def _find_within_reach(self, prior: Prior) -> Rows:
         """Return the rows of the photographs within two standard deviations of a prior; none if its
         sigma is unknown."""
         sigma = prior.horizontal_sigma

@@ -156,7 +156,7 @@ class CompiledPhotometry:
         def fill(part: slice) -> None:
             _fill_windows(window.part(part), self._padded, self._near, self._sigma_grey)
 
-        self._in_parts(fill, len(rows))
+        self._run_in_parts(fill, len(rows))
         return window
 
     def cost(self, window: CompiledWindow, planes: Tensor, below: Tensor | None = None) -> Tensor:
@@ -168,10 +168,10 @@ class CompiledPhotometry:
         def fill(part: slice) -> None:
             _fill_costs(window.part(part), values[:, part], least[part], self._sources, out[part])
 
-        self._in_parts(fill, len(out))
+        self._run_in_parts(fill, len(out))
         return costs
 
-    def _in_parts(self, fill: Callable[[slice], None], count: int) -> None:
+    def _run_in_parts(self, fill: Callable[[slice], None], count: int) -> None:
         """Split a range into as many parts as torch has threads, and call ``fill`` in parallel."""
         ends = np.linspace(0, count, self._threads + 1).astype(int)
         parts = [slice(begin, end) for begin, end in pairwise(ends)]

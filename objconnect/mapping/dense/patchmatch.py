@@ -209,7 +209,7 @@ class _Search:
             planes, costs = estimate.planes[:, rows, columns], estimate.cost[rows, columns]
             best = _Best(self._photometry, window, planes, costs)
             for region in _REGIONS:
-                best.offer(_from_neighbour(estimate.planes, cost, region, rows, columns))
+                best.offer(_take_from_neighbour(estimate.planes, cost, region, rows, columns))
             for drawn in noise:
                 random = drawn[:, rows, columns] * (step * self._inverse_per_px)
                 w, gx, gy = best.planes
@@ -252,7 +252,7 @@ class _Best:
         self.cost = torch.where(better, cost, self.cost)
 
 
-def _from_neighbour(
+def _take_from_neighbour(
     planes: Tensor,
     cost: Tensor,
     region: Sequence[tuple[int, int]],

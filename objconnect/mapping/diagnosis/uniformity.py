@@ -66,7 +66,7 @@ def visible_cells(scene: Scene, sparse_map: SparseMap, cell_m: float) -> NDArray
             surface = surface_points(camera, pose, depth, _PER_SIDE)
             surface = surface[np.isfinite(surface).all(1)]
         else:
-            surface = _on_plane(image, sparse_map.xyz)
+            surface = _intersect_plane(image, sparse_map.xyz)
         views.update(set(_cells(surface, cell_m)))
     seen = [cell for cell, count in sorted(views.items()) if count >= _MIN_VIEWS]
     return np.array(seen, np.int64).reshape(-1, 2)
@@ -89,7 +89,7 @@ def _cells(points: NDArray[np.float64], cell_m: float) -> list[tuple[int, int]]:
     return [(e, n) for e, n in np.floor(points[:, :2] / cell_m).astype(int).tolist()]
 
 
-def _on_plane(image: MapImage, xyz: NDArray[np.float64]) -> NDArray[np.float64]:
+def _intersect_plane(image: MapImage, xyz: NDArray[np.float64]) -> NDArray[np.float64]:
     """Intersect rays of a photograph with the plane at its points' median height, (K, 3)."""
     rows = image.point_rows[image.point_rows >= 0]
     if not len(rows):

@@ -193,7 +193,7 @@ def _offset(first: NDArray[np.complex64], second: NDArray[np.complex64]) -> Arra
     searched = correlation[middle - reach : middle + reach + 1, middle - reach : middle + reach + 1]
     row, column = (int(x) for x in np.unravel_index(int(searched.argmax()), searched.shape))
     others = searched.copy()
-    others[_around(row), _around(column)] = -np.inf
+    others[_slice_around(row), _slice_around(column)] = -np.inf
     if searched[row, column] <= _MIN_PEAK_RATIO * max(float(others.max()), 0.0):
         return None
     down = row + _vertex(searched[:, column], row) - reach
@@ -201,7 +201,7 @@ def _offset(first: NDArray[np.complex64], second: NDArray[np.complex64]) -> Arra
     return np.array([across, -down])
 
 
-def _around(index: int) -> slice:
+def _slice_around(index: int) -> slice:
     return slice(max(0, index - _PEAK_PX), index + _PEAK_PX + 1)
 
 

@@ -24,7 +24,7 @@ PICTURES_FOLDER: Final = "thermal8"
 
 
 class Thermal(Record):
-    """How the thermal pictures of a session are coded; they have the poses of its photographs.
+    """The coding of a session's thermal pictures, which have the poses of its photographs.
 
     Attributes:
         kelvin_per_count: brightness temperature of one count of 16 bits, kelvin; 0 counts are 0 K.

@@ -14,7 +14,7 @@ from objconnect.scene.storage.records import Record
 REFERENCE_ERROR: Final = "reference_error.json"
 """Name of the file in the folder of a flight."""
 
-# Largest error of the reference poses as a share of a threshold that they can judge.
+# Recall at a threshold is stated if the error of the reference poses is at most this share of it.
 _MAX_ERROR_SHARE: Final = 0.5
 
 

@@ -63,7 +63,7 @@ class Projection:
                 "EPSG:n, such as EPSG:32632"
             ) from None
         if horizontal:
-            self._crs = _without_heights(self._crs)
+            self._crs = _drop_heights(self._crs)
         if not (self._crs.is_projected or self._crs.is_geographic):
             raise InputError(
                 f"{label} ({self.name}) has no eastings and northings: give a "
@@ -256,12 +256,12 @@ def _area_of(crs: Any) -> Any:
     """Return the area of use, looked up by EPSG code if WKT lacks it; None if unknown."""
     if crs.area_of_use is not None:
         return crs.area_of_use
-    horizontal = _without_heights(crs)
+    horizontal = _drop_heights(crs)
     code = horizontal.to_epsg(min_confidence=100)
     return horizontal.area_of_use if code is None else type(crs).from_epsg(code).area_of_use
 
 
-def _without_heights(crs: Any) -> Any:
+def _drop_heights(crs: Any) -> Any:
     """Return the horizontal part of a system."""
     if crs.is_compound:
         return crs.sub_crs_list[0].to_2d()

@@ -149,7 +149,7 @@ class Intrinsics:
                 det = torch.where(det.abs() < 1e-6, torch.full_like(det, 1e-6), det)
                 rx, ry = (target - value).unbind(-1)
                 step = torch.stack([d * rx - b * ry, a * ry - c * rx], -1) / det[..., None]
-                uv = self._within_limit(uv + step.clamp(-1, 1))
+                uv = self._clamp_to_limit(uv + step.clamp(-1, 1))
                 if not (step.abs() > torch.finfo(step.dtype).eps).any():
                     break
             value, _, inside = self._distort(uv, jacobian=False)
@@ -217,7 +217,7 @@ class Intrinsics:
         start: Tensor = target * (middle / distorted.clamp_min(1e-12))[..., None]
         return start
 
-    def _within_limit(self, uv: Tensor) -> Tensor:
+    def _clamp_to_limit(self, uv: Tensor) -> Tensor:
         """Clamp coordinates (..., N, 2) of a rational distortion to the fold-over limit.
 
         Beyond a zero of the denominator, Newton's method would leave for another branch.

@@ -104,12 +104,12 @@ def topocentric(
     if sibling is not None and not _is_sane(sibling):
         raise InputError(f"{path}: {TOPOCENTRIC} beside it has a pose that is not finite")
     if sibling is not None:
-        topocentric_shots = _from_sibling(path, shots, sibling, stated)
+        topocentric_shots = _take_from_sibling(path, shots, sibling, stated)
         if topocentric_shots is not None:
             return topocentric_shots
     system = _system_of(path)
     if system is not None:
-        return _from_system(path, shots, *system, stated)
+        return _undo_system(path, shots, *system, stated)
     return _check_without_coords(path, shots, stated)
 
 
@@ -127,7 +127,7 @@ def _require_near_origin(path: Path, shots: Shots) -> Shots:
     return shots
 
 
-def _from_sibling(
+def _take_from_sibling(
     path: Path, shots: Shots, sibling: Shots, stated: CoordinateFrame | None
 ) -> Shots | None:
     """Return the shots with the poses of the topocentric file; None if that lacks a shot."""
@@ -199,7 +199,7 @@ def _read_system(file: Path) -> tuple[NamedSystem, Array]:
     return parse_system(header, f"{file}:1"), offset
 
 
-def _from_system(
+def _undo_system(
     path: Path, shots: Shots, system: NamedSystem, offset: Array, stated: CoordinateFrame | None
 ) -> Shots:
     """Return the shots with ODM's transform undone, if the file was transformed."""

@@ -166,7 +166,7 @@ class _LogLines:
             return
         self._last, self._shown = now, done
         left = self._seconds_left(now, done)
-        ending = "" if left is None else f", {_in_words(left)} left"
+        ending = "" if left is None else f", {_describe_duration(left)} left"
         with suppress(OSError):  # standard error is closed
             text = f"{self._what}: {done} of {self._total}{ending}"
             print(text, file=sys.stderr, flush=True)
@@ -180,7 +180,7 @@ class _LogLines:
         return (now - began) / (done - before) * (self._total - done)
 
 
-def _in_words(seconds: float) -> str:
+def _describe_duration(seconds: float) -> str:
     if seconds < 90:
         return f"{seconds:.0f} s"
     if seconds < 90 * 60:
