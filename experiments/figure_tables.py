@@ -51,7 +51,7 @@ def methods(boards: Boards) -> str:
 
     Each column holds the changed queries of ``uav-seasons`` on the places that all methods with
     results from that start share. Stored results have no comparable seconds: they were timed on
-    different days, beside other work.
+    different days, while other programs ran.
     """
     board = track_of(boards, _TRACK)
     rows = {start: _shared(board, start) for start in _PRIORS}

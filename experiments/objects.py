@@ -182,7 +182,7 @@ def _has_centre(class_name: str, size: tuple[float, float, float]) -> bool:
     return class_name not in LINE_CLASSES and max(size[:2]) <= MAX_SIDE_M
 
 
-def _without_learning(kind: str) -> Callable[[ObjConnectNet, Scene, str], Tensor]:
+def _segmenter(kind: str) -> Callable[[ObjConnectNet, Scene, str], Tensor]:
     def find(network: ObjConnectNet, scene: Scene, name: str) -> Tensor:
         config = ObjConnectNetConfig(segmentation=kind)
         return segment(_picture(scene, name), config)[0]
@@ -192,9 +192,9 @@ def _without_learning(kind: str) -> Callable[[ObjConnectNet, Scene, str], Tensor
 
 KINDS = [
     ("learned", segment_learned),
-    ("slic", _without_learning("slic")),
-    ("felzenszwalb", _without_learning("felzenszwalb")),
-    ("squares", _without_learning("grid")),
+    ("slic", _segmenter("slic")),
+    ("felzenszwalb", _segmenter("felzenszwalb")),
+    ("squares", _segmenter("grid")),
     ("true objects", true_objects),
 ]
 

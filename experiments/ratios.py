@@ -103,14 +103,16 @@ def ratios_of(run: Path) -> Ratios:
         raise InputError(
             f"{run} is not a file of pytest-benchmark: write it with --benchmark-json"
         ) from None
-    found = [ratio for group, rows in sorted(groups.items()) for ratio in _of_group(group, rows)]
+    found = [
+        ratio for group, rows in sorted(groups.items()) for ratio in _group_ratios(group, rows)
+    ]
     return Ratios(commit=commit, processor=processor, ratios=tuple(found))
 
 
-def _of_group(group: str, rows: Sequence[tuple[str, float, float]]) -> list[Ratio]:
+def _group_ratios(group: str, rows: Sequence[tuple[str, float, float]]) -> list[Ratio]:
     """Return the ratios of a group, given names, medians and distances of quartiles."""
     measured = [row for row in rows if row[1] > 0]
-    first = sorted(measured, key=lambda row: _by_number(row[0]))[:1]
+    first = sorted(measured, key=lambda row: _number_key(row[0]))[:1]
     yardsticks = [row for row in measured if any(word in row[0] for word in _YARDSTICKS)] or first
     found = []
     for name, median, quartiles in (row for row in measured if row not in yardsticks):
@@ -123,7 +125,7 @@ def _of_group(group: str, rows: Sequence[tuple[str, float, float]]) -> list[Rati
     return found
 
 
-def _by_number(name: str) -> list[int | str]:
+def _number_key(name: str) -> list[int | str]:
     """Return a sort key that compares numbers in names by value, so that 100 precedes 1000."""
     parts = re.split(r"(\d+)", name)
     return [int(part) if part.isdigit() else part for part in parts]

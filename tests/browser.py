@@ -208,8 +208,8 @@ class Browser:
 
     def screenshot(self, path: Path, whole: bool = True) -> None:
         """PNG of the window, or of the whole page."""
-        taken = self.send("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
-        path.write_bytes(base64.b64decode(taken["data"]))
+        screenshot = self.send("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
+        path.write_bytes(base64.b64decode(screenshot["data"]))
 
     def send(self, method: str, **params: Any) -> dict[str, Any]:
         """One command of the protocol, and its answer."""

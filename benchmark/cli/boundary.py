@@ -31,7 +31,7 @@ PROGRAM_AT_FAULT: Final = 3
 _SIGNALLED: Final = 128
 _CLOSED_PIPE: Final = _SIGNALLED + 13  # SIGPIPE
 
-# Exceptions of libraries on input that they cannot process, beside InputError.
+# Exceptions of libraries on input that they cannot process, besides InputError.
 _INPUT_ERRORS: Final = (
     OSError,
     UnicodeError,

@@ -77,8 +77,8 @@ def lines_of(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
 
 def parameters_of(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
     """Return how many parameters a function takes besides self and cls."""
-    taken = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
-    return sum(part.arg not in ("self", "cls") for part in taken)
+    parameters = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+    return sum(part.arg not in ("self", "cls") for part in parameters)
 
 
 def _extent(node: ast.stmt) -> int:

@@ -31,7 +31,7 @@ def cells(line: str) -> list[str]:
     return [cell.strip() for cell in line.strip().strip("|").split("|")]
 
 
-def of_page(text: str) -> dict[tuple[str, str], Figures]:
+def read_page_figures(text: str) -> dict[tuple[str, str], Figures]:
     """Return the figures by method and condition, as ``winter-dusk``."""
     block = text.split(_BEGIN)[1].split(_END)[0]
     found = {}
@@ -43,7 +43,7 @@ def of_page(text: str) -> dict[tuple[str, str], Figures]:
     return found
 
 
-def of_run(text: str) -> dict[tuple[str, str], Figures]:
+def read_run_figures(text: str) -> dict[tuple[str, str], Figures]:
     """Return the figures of the first table of a leaderboard by method and condition."""
     rows = [cells(line) for line in text.split("## ")[1].splitlines() if line.startswith("| ")]
     head, found = rows[0], {}
@@ -66,7 +66,7 @@ def dataset_of(text: str) -> str:
 
 def differences(page: str, run: str) -> list[str]:
     """Return where the page differs from a run: recalls must be equal, medians much the same."""
-    stated, measured = of_page(page), of_run(run)
+    stated, measured = read_page_figures(page), read_run_figures(run)
     wrong = []
     for key, figures in stated.items():
         if key not in measured:
@@ -98,7 +98,7 @@ def test_the_figures_name_machine_and_commit() -> None:
 
 
 def test_every_row_of_the_demo_is_read() -> None:
-    stated = of_page(PAGE.read_text(encoding="utf-8"))
+    stated = read_page_figures(PAGE.read_text(encoding="utf-8"))
     assert list(stated) == [
         ("sift", "summer-noon"),
         ("sift", "winter-dusk"),
@@ -113,7 +113,7 @@ def leaderboard(page: str) -> str:
     rows = [
         f"| {method} | {condition} | 16 | {f.recall[0]} | {f.recall[1]} | {f.median[0]} | "
         f"{f.median[1]} |"
-        for (method, condition), f in of_page(page).items()
+        for (method, condition), f in read_page_figures(page).items()
     ]
     return "\n".join(["# Leaderboard", "", "## uav-sim: scene", "", head, "| --- |", *rows])
 
@@ -138,7 +138,7 @@ def test_another_figure_is_noticed(before: str, after: str) -> None:
 def test_a_table_that_is_printed_today_is_read(tmp_path: Path) -> None:
     flight = write_flight(tmp_path / "meadow")
     printed = invoke("evaluate", flight, "--method", "prior", "--out", tmp_path / "out").stdout
-    ((key, figures),) = of_run(printed).items()
+    ((key, figures),) = read_run_figures(printed).items()
     assert key == ("prior", "same-flight")
     assert figures.recall == ("0.0 [–]", "0.0 [–]"), "the queries are of one flight"
     assert figures.median[0] > 0

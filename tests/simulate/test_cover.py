@@ -56,10 +56,10 @@ def test_thaw_leaves_snow_in_the_shade(town: World) -> None:
     for item in town.objects:
         if item.class_name == "building":
             radius = 0.5 * float(np.linalg.norm(item.size[:2]))
-            beside = grass & (np.abs(x - item.centre[0]) < 3)
+            near_item = grass & (np.abs(x - item.centre[0]) < 3)
             away = y - item.centre[1]
-            sides["north"].append(beside & (away > 0.6 * radius) & (away < radius + 3))
-            sides["south"].append(beside & (away < -0.6 * radius) & (away > -radius - 3))
+            sides["north"].append(near_item & (away > 0.6 * radius) & (away < radius + 3))
+            sides["south"].append(near_item & (away < -0.6 * radius) & (away > -radius - 3))
     where = {name: np.any(found, axis=0) for name, found in sides.items()}
     where = {name: part & ~where["south" if name == "north" else "north"]
              for name, part in where.items()}  # fmt: skip

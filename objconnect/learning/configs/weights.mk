@@ -100,7 +100,7 @@ FEATURES_ALONE := network={segmentation: none, attention: false, object_graph: f
 equal: $(call learned,equal-pixloc) $(call learned,equal-d2net) $(call learned,equal-connected)
 
 $(call learned,shared): $(call learned,objconnect)
-	$(BIN)/python -m experiments.as_pixloc $< $@
+	$(BIN)/python -m experiments.convert_to_pixloc $< $@
 
 $(W)/equal-%/weights.safetensors: $(call learned,shared) $(call rendered,$(call season,$(SEASONS)))
 	$(call train,$*,$(call season,$(SEASONS)),equal,$<,$(if $(filter objconnect,$*),--set '$(FEATURES_ALONE)') $(photographs))

@@ -86,7 +86,7 @@ class FeaturemetricLocalizer:
             sets it, because this package knows no other methods.
 
     Raises:
-        InputError: this processor cannot run the network quantized, an option has no effect beside
+        InputError: this processor cannot run the network quantized, an option has no effect with
             the others, or a calibration file beside the weights is damaged.
     """
 

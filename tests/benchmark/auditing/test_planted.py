@@ -77,7 +77,7 @@ def low_principal(matrices: list[np.ndarray], document: dict[str, object]) -> No
     document["cy"] = float(str(document["cy"])) - 0.5
 
 
-def in_feet(matrices: list[np.ndarray], document: dict[str, object]) -> None:
+def scale_to_feet(matrices: list[np.ndarray], document: dict[str, object]) -> None:
     for matrix in matrices:
         matrix[:3, 3] /= 0.3048
 
@@ -100,7 +100,7 @@ PLANTED: dict[str, tuple[Plant, str]] = {
     "colmap-resized": (resize, "sizes"),
     "nerfstudio-axes": (lambda s, p: nerfstudio(s, p, opengl=False), "axes-flipped"),
     "nerfstudio-principal": (lambda s, p: nerfstudio(s, p, low_principal), "half-pixel"),
-    "nerfstudio-feet": (lambda s, p: nerfstudio(s, p, in_feet), "scale"),
+    "nerfstudio-feet": (lambda s, p: nerfstudio(s, p, scale_to_feet), "scale"),
     "nerfstudio-swapped": (lambda s, p: nerfstudio(s, p, two_swapped), "names-swapped"),
     "nerfstudio-shuffled": (lambda s, p: nerfstudio(s, p, shuffle), "names-shuffled"),
     "tum-quaternion": (lambda s, p: tum(s, p, wxyz=True) / "trajectory.txt", "quaternion-order"),

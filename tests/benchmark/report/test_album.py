@@ -50,11 +50,11 @@ def test_points_are_where_the_poses_put_them(made_flight: Path, album: Album) ->
 def test_neighbour_is_the_nearest_of_those_that_show_as_much(album: Album) -> None:
     # Every photograph sees every point; queries b, d and f fly between a, c, e and g, and the
     # world's noise in the last bit decides between two at the same distance.
-    beside = {name: entry.neighbour for name, entry in album.entries.items()}
-    assert beside["b.jpg"] in ("a.jpg", "c.jpg")
-    assert beside["d.jpg"] in ("c.jpg", "e.jpg")
-    assert beside["f.jpg"] in ("e.jpg", "g.jpg")
-    assert set(album.neighbours) == set(beside.values())
+    neighbours = {name: entry.neighbour for name, entry in album.entries.items()}
+    assert neighbours["b.jpg"] in ("a.jpg", "c.jpg")
+    assert neighbours["d.jpg"] in ("c.jpg", "e.jpg")
+    assert neighbours["f.jpg"] in ("e.jpg", "g.jpg")
+    assert set(album.neighbours) == set(neighbours.values())
 
 
 def test_neighbour_shows_most_of_the_ground(beach: Path) -> None:

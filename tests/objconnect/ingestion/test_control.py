@@ -92,7 +92,7 @@ def survey(model: SparseMap, moved: Mapping[str, Array], checks: set[str]) -> li
     return points
 
 
-def by_gps(model: SparseMap, folder: Path) -> AdjustedModel:
+def place_by_gps(model: SparseMap, folder: Path) -> AdjustedModel:
     """The model as GPS of metres would place it."""
     turn = so3_exp(torch.tensor([0.01, -0.015, 0.02], dtype=torch.float64)).numpy()
     wrong = np.column_stack([1.004 * turn, [1.5, -2.0, 3.0]])
@@ -110,10 +110,10 @@ def fit(
     (tmp_path / "true").mkdir()
     model = true_model(tmp_path / "true")
     points = survey(model, moved, checks)
-    taken = [Photograph(name, CAMERA, "lens", True, True) for name in model.names]
+    photographs = [Photograph(name, CAMERA, "lens", True, True) for name in model.names]
     options = IngestOptions(control_sigma_m=sigma)
     adjusted, residuals = fit_to_control(
-        by_gps(model, tmp_path / "gps"), points, ORIGIN, taken, tmp_path, options
+        place_by_gps(model, tmp_path / "gps"), points, ORIGIN, photographs, tmp_path, options
     )
     return model, adjusted, {r.name: r for r in residuals}, control_text(residuals)
 

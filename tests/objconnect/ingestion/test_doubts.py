@@ -56,10 +56,10 @@ class _Adjusted:
 
 
 def test_the_report_names_fields_that_contradict_each_other(folder: Path) -> None:
-    taken = make_photographs(read_flight(folder).images, 96, None)
-    assert not any(photograph.focal_known for photograph in taken)
-    adjusted = _Adjusted({photograph.name: photograph.camera for photograph in taken})
-    (lens,) = lenses_of(taken, adjusted)  # type: ignore[arg-type]
+    photographs = make_photographs(read_flight(folder).images, 96, None)
+    assert not any(photograph.focal_known for photograph in photographs)
+    adjusted = _Adjusted({photograph.name: photograph.camera for photograph in photographs})
+    (lens,) = lenses_of(photographs, adjusted)  # type: ignore[arg-type]
     assert all(field in lens.origin for field in FIELDS)
     assert "no focal length in EXIF" not in lens.origin and "guessed" in lens.origin
-    assert np.isfinite(taken[0].camera.focal[0])
+    assert np.isfinite(photographs[0].camera.focal[0])

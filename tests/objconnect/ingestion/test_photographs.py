@@ -60,9 +60,9 @@ def test_focal_lengths_of_real_cameras(flights: Path, tmp_path: Path) -> None:
     for name in truth:
         path = min((flights / name / "photos").iterdir())
         shutil.copy(path, tmp_path / path.name)
-    taken = make_photographs(read_flight(tmp_path).images, 1024, None)
-    assert len({photograph.lens for photograph in taken}) == 2
-    for photograph in taken:
+    photographs = make_photographs(read_flight(tmp_path).images, 1024, None)
+    assert len({photograph.lens for photograph in photographs}) == 2
+    for photograph in photographs:
         expected = truth["brighton_beach" if "DJI" in photograph.name else "caliterra"]
         assert photograph.focal_known
         assert photograph.camera.focal[0] == pytest.approx(expected, rel=0.03)

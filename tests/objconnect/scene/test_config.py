@@ -139,8 +139,8 @@ def test_what_an_earlier_version_recorded_is_read() -> None:
         "gone": [1, 2],
         "table": {"kept": 1},
     }
-    taken = take_recorded(Outer, recorded)
-    assert Outer.model_validate(taken) == Outer(
+    options = take_recorded(Outer, recorded)
+    assert Outer.model_validate(options) == Outer(
         inner=Inner(near=2.0), control_sigma_m=0.02, nearest=5, table={"kept": 1}
     )
-    assert take_recorded(Outer, taken) == taken
+    assert take_recorded(Outer, options) == options

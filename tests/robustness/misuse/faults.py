@@ -181,7 +181,7 @@ OUR_JSON: Faults = {
 }
 
 
-def _of_json(edit: Callable[[Any], object]) -> Spoil:
+def _edit_json(edit: Callable[[Any], object]) -> Spoil:
     """An edit by hand of a JSON file."""
 
     def change(text: str) -> str:
@@ -194,21 +194,21 @@ def _of_json(edit: Callable[[Any], object]) -> Spoil:
 
 RESULTS: Faults = {
     **OUR_JSON,
-    "unknown_schema": _of_json(lambda r: r.update(schema=99)),
-    "no_schema": _of_json(lambda r: r.pop("schema")),
-    "nan": _of_json(lambda r: r["queries"][0].update(t_err_m=float("nan"))),
-    "recall_is_text": _of_json(lambda r: r["summary"]["recall"].update({"0.5m_5deg": "all"})),
-    "better_recall": _of_json(
+    "unknown_schema": _edit_json(lambda r: r.update(schema=99)),
+    "no_schema": _edit_json(lambda r: r.pop("schema")),
+    "nan": _edit_json(lambda r: r["queries"][0].update(t_err_m=float("nan"))),
+    "recall_is_text": _edit_json(lambda r: r["summary"]["recall"].update({"0.5m_5deg": "all"})),
+    "better_recall": _edit_json(
         lambda r: r["summary"]["recall"].update({"5m_10deg": {"value": 99, "low": 9, "high": 99}})
     ),
-    "query_twice": _of_json(lambda r: r["queries"].append(r["queries"][0])),
-    "no_query": _of_json(lambda r: r["queries"].clear()),
-    "fewer_queries": _of_json(lambda r: r["queries"].pop()),
-    "status": _of_json(lambda r: r["queries"][0].update(status="great")),
-    "negative_error": _of_json(lambda r: r["queries"][0].update(t_err_m=-1.0)),
-    "huge_pose": _of_json(lambda r: r["queries"][0].update(cam_from_world=[1e308] * 7)),
-    "no_method": _of_json(lambda r: r.pop("method")),
-    "name_is_path": _of_json(lambda r: r["dataset"].update(name="../../x")),
+    "query_twice": _edit_json(lambda r: r["queries"].append(r["queries"][0])),
+    "no_query": _edit_json(lambda r: r["queries"].clear()),
+    "fewer_queries": _edit_json(lambda r: r["queries"].pop()),
+    "status": _edit_json(lambda r: r["queries"][0].update(status="great")),
+    "negative_error": _edit_json(lambda r: r["queries"][0].update(t_err_m=-1.0)),
+    "huge_pose": _edit_json(lambda r: r["queries"][0].update(cam_from_world=[1e308] * 7)),
+    "no_method": _edit_json(lambda r: r.pop("method")),
+    "name_is_path": _edit_json(lambda r: r["dataset"].update(name="../../x")),
 }
 
 
@@ -223,20 +223,20 @@ def _rename(key: str, name: str) -> Callable[[Any], object]:
 
 MANIFEST: Faults = {
     **OUR_JSON,
-    "unknown_schema": _of_json(lambda m: m.update(schema=99)),
-    "no_session": _of_json(lambda m: m["sessions"].clear()),
-    "session_leaves": _of_json(_rename("sessions", "../../mine")),
-    "beyond_the_pole": _of_json(lambda m: m["origin"].__setitem__(0, 999)),
-    "huge_origin": _of_json(lambda m: m["origin"].__setitem__(2, 1e308)),
+    "unknown_schema": _edit_json(lambda m: m.update(schema=99)),
+    "no_session": _edit_json(lambda m: m["sessions"].clear()),
+    "session_leaves": _edit_json(_rename("sessions", "../../mine")),
+    "beyond_the_pole": _edit_json(lambda m: m["origin"].__setitem__(0, 999)),
+    "huge_origin": _edit_json(lambda m: m["origin"].__setitem__(2, 1e308)),
 }
 SPLITS: Faults = {
     **OUR_JSON,
-    "name_leaves": _of_json(lambda s: s.update(map=["../../mine/notes.txt"])),
-    "number": _of_json(lambda s: s.update(map=[7])),
+    "name_leaves": _edit_json(lambda s: s.update(map=["../../mine/notes.txt"])),
+    "number": _edit_json(lambda s: s.update(map=[7])),
 }
 
 
-def _of_hdf5(edit: Callable[[h5py.File], object]) -> Spoil:
+def _edit_hdf5(edit: Callable[[h5py.File], object]) -> Spoil:
     def spoil(path: Path) -> None:
         with h5py.File(path, "r+") as file:
             edit(file)
@@ -257,15 +257,19 @@ def _put(name: str, value: Callable[[Any], Any]) -> Callable[[h5py.File], object
 
 FRAMES: Faults = {
     **BYTES,
-    "no_poses": _of_hdf5(lambda file: file.pop("cam_from_world")),
-    "nan_pose": _of_hdf5(_put("cam_from_world", lambda poses: poses * np.nan)),
-    "huge_pose": _of_hdf5(_put("cam_from_world", lambda poses: np.where(poses > 9, 1e308, poses))),
-    "fewer_poses": _of_hdf5(_put("cam_from_world", lambda poses: poses[1:])),
-    "poses_of_text": _of_hdf5(_put("cam_from_world", lambda poses: np.full(poses.shape, b"west"))),
-    "name_leaves": _of_hdf5(_put("names", lambda names: np.array([b"../../mine"] * len(names)))),
-    "name_twice": _of_hdf5(_put("names", lambda names: np.array([names[0]] * len(names)))),
-    "no_such_camera": _of_hdf5(_put("camera_index", lambda index: np.asarray(index) + 99)),
-    "camera_of_text": _of_hdf5(_put("cameras", lambda _: np.array([b"a camera"]))),
+    "no_poses": _edit_hdf5(lambda file: file.pop("cam_from_world")),
+    "nan_pose": _edit_hdf5(_put("cam_from_world", lambda poses: poses * np.nan)),
+    "huge_pose": _edit_hdf5(
+        _put("cam_from_world", lambda poses: np.where(poses > 9, 1e308, poses))
+    ),
+    "fewer_poses": _edit_hdf5(_put("cam_from_world", lambda poses: poses[1:])),
+    "poses_of_text": _edit_hdf5(
+        _put("cam_from_world", lambda poses: np.full(poses.shape, b"west"))
+    ),
+    "name_leaves": _edit_hdf5(_put("names", lambda names: np.array([b"../../mine"] * len(names)))),
+    "name_twice": _edit_hdf5(_put("names", lambda names: np.array([names[0]] * len(names)))),
+    "no_such_camera": _edit_hdf5(_put("camera_index", lambda index: np.asarray(index) + 99)),
+    "camera_of_text": _edit_hdf5(_put("cameras", lambda _: np.array([b"a camera"]))),
 }
 YAML: Faults = {
     **{name: spoil for name, spoil in TEXT.items() if name != "empty"},

@@ -171,7 +171,7 @@ objconnect.scene.colmap.triangulation._triangulate = wait
 
 
 @contextmanager
-def at_work(
+def start_and_wait(
     patch: str, words: Sequence[object], temporary: Path, ignored: int | None = None
 ) -> Iterator[subprocess.Popen[str]]:
     """A command in the midst of its work."""
@@ -215,7 +215,7 @@ def test_a_signal_during_evaluate(number: int, word: str, tmp_path: Path) -> Non
     words = ["evaluate", flight, "--method", "fake", "--out", out]
     before = snapshot(flight)
     ignored = signal.SIGHUP if number == signal.SIGTERM else None
-    with at_work(EVALUATE, words, tmp_path / "tmp", ignored) as process:
+    with start_and_wait(EVALUATE, words, tmp_path / "tmp", ignored) as process:
         if ignored is not None:
             process.send_signal(ignored)
         process.send_signal(number)
@@ -234,7 +234,7 @@ def test_a_signal_during_map(number: int, word: str, tmp_path: Path) -> None:
     """COLMAP's library is loaded by then, and has a word of its own for signals."""
     scene = make_scene(tmp_path / "hamlet")
     before = snapshot(scene / "map")
-    with at_work(MAP, ["map", scene], tmp_path / "tmp") as process:
+    with start_and_wait(MAP, ["map", scene], tmp_path / "tmp") as process:
         process.send_signal(number)
         _, stderr = process.communicate(timeout=_HANGS_S)
     assert (process.returncode, stderr) == (128 + number, f"objconnect: {word}\n")
@@ -302,7 +302,7 @@ NOBODY = 65534
 
 
 @contextmanager
-def as_nobody(root: Path) -> Iterator[None]:
+def act_as_nobody(root: Path) -> Iterator[None]:
     """Without root's right to look everywhere; the tree is the user's."""
     if os.geteuid():
         yield
@@ -355,7 +355,7 @@ def test_a_folder_that_nobody_may_look_into(
     (tree / "locked").chmod(0)
     before = snapshot(tree.parent)
     monkeypatch.setenv("HOME", str(tree))
-    with as_nobody(tree):
+    with act_as_nobody(tree):
         outcome = run(words)
     assert outcome.code == 2, outcome
     check_one_line(outcome, ("locked",))

@@ -187,10 +187,10 @@ def test_room_is_asked_for_where_nobody_names_a_folder(
 
 def test_scratch_is_gone_after_an_error(tmp_path: Path) -> None:
     (tmp_path / "a.jpg").write_text("no pixels")
-    beside = tmp_path / "cache"
+    temporary_root = tmp_path / "cache"
     with pytest.raises(InputError, match="damaged"):
-        extract_sift(tmp_path, ["a.jpg"], SiftOptions(), parent=beside)
-    assert not beside.exists()
+        extract_sift(tmp_path, ["a.jpg"], SiftOptions(), parent=temporary_root)
+    assert not temporary_root.exists()
 
 
 def test_colmap_leaves_no_logs_and_ends_quietly(tmp_path: Path) -> None:
@@ -375,7 +375,7 @@ class _WaitsError(BaseException):
 
 
 @pytest.fixture
-def in_time() -> Iterator[None]:
+def wake_waiting() -> Iterator[None]:
     """Whoever waits for a pipe is woken."""
 
     def wake(*_: object) -> None:
@@ -391,7 +391,7 @@ def in_time() -> Iterator[None]:
 KINDS = ("pipe", "device", "folder", "empty", "huge", "large", "text", "truncated", "loop")
 
 
-@pytest.mark.usefixtures("in_time")
+@pytest.mark.usefixtures("wake_waiting")
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_photograph_that_is_none_is_one_line(
     tmp_path: Path, kind: str, recwarn: pytest.WarningsRecorder
@@ -483,7 +483,7 @@ READERS: dict[str, Callable[[Path], object]] = {
 }
 
 
-@pytest.mark.usefixtures("in_time")
+@pytest.mark.usefixtures("wake_waiting")
 @pytest.mark.parametrize("kind", ["pipe", "device", "folder", "loop"])
 @pytest.mark.parametrize("reader", list(READERS))
 def test_what_is_no_file_is_not_opened(tmp_path: Path, reader: str, kind: str) -> None:
@@ -491,7 +491,7 @@ def test_what_is_no_file_is_not_opened(tmp_path: Path, reader: str, kind: str) -
     assert str(path) in expect_error(lambda: READERS[reader](path))
 
 
-@pytest.mark.usefixtures("in_time")
+@pytest.mark.usefixtures("wake_waiting")
 def test_a_model_with_a_pipe_in_it(tmp_path: Path) -> None:
     write_model(tmp_path / "map", {name: pose_at(k) for k, name in enumerate(MAP_NAMES)})
     (tmp_path / "map" / "images.bin").unlink()
@@ -653,7 +653,7 @@ def test_names_in_a_log_hold_no_escapes(capsys: pytest.CaptureFixture[str]) -> N
 # --- folders of photographs ---------------------------------------------------------------------
 
 
-@pytest.mark.usefixtures("in_time")
+@pytest.mark.usefixtures("wake_waiting")
 def test_a_folder_of_photographs_of_every_kind(tmp_path: Path) -> None:
     for k, name in enumerate(("a.jpg", "sub/a.jpg", "sub/deeper/b c.jpg", "back\\slash.JPG")):
         noise_jpeg(tmp_path / name, k, Geodetic(1.0, 2.0, 3.0))

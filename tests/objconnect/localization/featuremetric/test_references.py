@@ -53,9 +53,9 @@ def test_beginnings_cover_the_picture() -> None:
     order = order_by_coverage(xy, worth, 16)
     assert sorted(order) == list(range(1000))
     cells = (xy * 16).astype(int) @ [1, 16]
-    taken = len(np.unique(cells))
-    assert len(np.unique(cells[order[:taken]])) == taken
-    for row in order[:taken]:
+    cell_count = len(np.unique(cells))
+    assert len(np.unique(cells[order[:cell_count]])) == cell_count
+    for row in order[:cell_count]:
         assert worth[row] == worth[cells == cells[row]].max()
 
 

@@ -20,7 +20,9 @@ def photograph(xy: NDArray[np.float64]) -> tuple[MapImage, Pose]:
     return image, pose
 
 
-def on_rays(xy: NDArray[np.float64], depth: NDArray[np.float64], pose: Pose) -> NDArray[np.float64]:
+def place_on_rays(
+    xy: NDArray[np.float64], depth: NDArray[np.float64], pose: Pose
+) -> NDArray[np.float64]:
     rays, _ = CAMERA.unproject(torch.from_numpy(xy))
     return np.asarray(pose.inverse().transform(rays * torch.from_numpy(depth)[:, None]))
 
@@ -53,10 +55,10 @@ def test_points_between_observations_of_a_plane_are_exact(
     observed: NDArray[np.float64], keypoints: NDArray[np.float32]
 ) -> None:
     image, pose = photograph(observed)
-    xyz = on_rays(observed, slope(observed), pose)
+    xyz = place_on_rays(observed, slope(observed), pose)
     points = interpolate_points(keypoints, image, xyz)
     exact = keypoints.astype(np.float64)
-    np.testing.assert_allclose(points, on_rays(exact, slope(exact), pose), atol=1e-9)
+    np.testing.assert_allclose(points, place_on_rays(exact, slope(exact), pose), atol=1e-9)
 
 
 def test_nothing_is_said_where_the_depths_disagree(
@@ -65,7 +67,7 @@ def test_nothing_is_said_where_the_depths_disagree(
     """A roof 10 m over the ground in one half of the picture."""
     depth = np.where(observed[:, 0] < 160, 50.0, 40.0)
     image, pose = photograph(observed)
-    points = interpolate_points(keypoints, image, on_rays(observed, depth, pose))
+    points = interpolate_points(keypoints, image, place_on_rays(observed, depth, pose))
     given = np.isfinite(points).all(1)
     local = pose.transform(torch.from_numpy(points[given])).numpy()
     truth = np.where(keypoints[given, 0] < 160, 50.0, 40.0)
@@ -78,7 +80,7 @@ def test_nothing_is_said_far_from_all_observations(keypoints: NDArray[np.float32
     corner = np.random.default_rng(2).uniform(0, 20, (50, 2))
     image, pose = photograph(corner)
     away = keypoints[keypoints.min(1) > 60]
-    points = interpolate_points(away, image, on_rays(corner, slope(corner), pose))
+    points = interpolate_points(away, image, place_on_rays(corner, slope(corner), pose))
     assert np.isnan(points).all()
 
 
@@ -88,5 +90,10 @@ def test_a_few_observations_say_nothing(
 ) -> None:
     few = observed[:observations]
     image, pose = photograph(few)
-    assert np.isnan(interpolate_points(keypoints, image, on_rays(few, slope(few), pose))).all()
-    assert interpolate_points(keypoints[:0], image, on_rays(few, slope(few), pose)).shape == (0, 3)
+    assert np.isnan(
+        interpolate_points(keypoints, image, place_on_rays(few, slope(few), pose))
+    ).all()
+    assert interpolate_points(keypoints[:0], image, place_on_rays(few, slope(few), pose)).shape == (
+        0,
+        3,
+    )

@@ -56,7 +56,7 @@ def test_a_picture_of_nothing_overlaps_nothing() -> None:
     np.testing.assert_array_equal(mutual_overlap([CAMERA] * 2, poses, points), 0)
 
 
-def under_a_block() -> np.ndarray:
+def depth_with_block() -> np.ndarray:
     """Depth of flat ground 40 m below, a sixth of it hidden by a block 15 m high."""
     depth = np.full((60, 80), 40.0, np.float32)
     depth[:, 40:54] = 25.0
@@ -66,7 +66,7 @@ def under_a_block() -> np.ndarray:
 def test_what_is_hidden_is_not_seen() -> None:
     """The ground under a block is in the other frame's view but not seen by it."""
     poses = np.stack([looking_down(0.0), looking_down(0.0)])
-    depths = [np.full((60, 80), 40.0, np.float32), under_a_block()]
+    depths = [np.full((60, 80), 40.0, np.float32), depth_with_block()]
     points = np.stack([surface_points(CAMERA, poses[0], d, 40) for d in depths])
     shares = visible_share([CAMERA] * 2, poses, points, depths)
     hidden = (depths[1] == 25).mean()

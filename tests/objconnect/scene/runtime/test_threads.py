@@ -13,11 +13,11 @@ from objconnect.scene.runtime.threads import map_in_threads, map_unordered, torc
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_in_order_and_few_ahead(threads: int) -> None:
-    taken, together = [], []
+    consumed, together = [], []
 
     def items() -> object:
         for number in count():
-            taken.append(number)
+            consumed.append(number)
             yield number
 
     def work(number: int) -> int:
@@ -29,7 +29,7 @@ def test_in_order_and_few_ahead(threads: int) -> None:
         assert [next(results) for _ in range(10)] == [k**2 for k in range(10)]
         results.close()
         assert torch.get_num_threads() == threads
-    assert len(taken) <= 10 + threads + 1
+    assert len(consumed) <= 10 + threads + 1
     assert set(together) == {1}
 
 
@@ -51,15 +51,15 @@ def test_an_error_ends_it() -> None:
 
 
 def test_finished_items_need_not_wait_for_the_first() -> None:
-    taken = threading.Event()
+    first_is_consumed = threading.Event()
 
     def work(number: int) -> int:
-        assert number or taken.wait(300)
+        assert number or first_is_consumed.wait(300)
         return number
 
     results = map_unordered(work, range(2), 2)
     assert next(results) == 1  # item 0 ends only after this
-    taken.set()
+    first_is_consumed.set()
     assert list(results) == [0]
     assert sorted(map_unordered(work, range(4), 2)) == [0, 1, 2, 3]
 

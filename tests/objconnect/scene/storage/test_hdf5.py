@@ -41,7 +41,7 @@ def virtual(file: h5py.File, name: str, secret: Path) -> None:
     file.create_virtual_dataset(name, layout)
 
 
-def of_itself(file: h5py.File, name: str, secret: Path) -> None:
+def virtual_of_itself(file: h5py.File, name: str, secret: Path) -> None:
     """The HDF5 library would follow such a link until the process dies."""
     layout = h5py.VirtualLayout((3,), "f8")
     layout[...] = h5py.VirtualSource(".", f"{file.name}/{name}", (3,))
@@ -75,7 +75,7 @@ def empty(file: h5py.File, name: str, secret: Path) -> None:
 
 Spoil = Callable[[h5py.File, str, Path], None]
 SPOILERS = [
-    *(external_link, external_bytes, virtual, of_itself, soft_link, huge, huge_chunk),
+    *(external_link, external_bytes, virtual, virtual_of_itself, soft_link, huge, huge_chunk),
     *(variable_length, a_group, empty),
 ]
 

@@ -35,9 +35,9 @@ from objconnect.scene.runtime.memory import resident_bytes
 
 bound = round(resident_bytes() / MEGABYTE) + 200
 print(free_cache_bytes(bound) / MEGABYTE)
-taken = np.ones(100 * MEGABYTE, np.uint8)
+allocated = np.ones(100 * MEGABYTE, np.uint8)
 print(free_cache_bytes(bound) / MEGABYTE)
-assert taken.all()
+assert allocated.all()
 print(free_cache_bytes(1))
 """
 
@@ -46,6 +46,6 @@ def test_half_of_what_is_left_below_a_bound_is_for_values() -> None:
     """In a process that does nothing else: what other tests let go may leave memory meanwhile."""
     at_first, with_less, without = map(float, run_and_print(ROOM).split())
     assert at_first == pytest.approx(100, abs=10)
-    # What is taken meanwhile is not there any more.
+    # Memory that the array occupies is not there any more.
     assert with_less == pytest.approx(50, abs=10)
     assert without == 0

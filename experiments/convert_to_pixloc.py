@@ -1,7 +1,9 @@
 """Convert weights of object-connect to PixLoc, so that both trainings begin with equal weights.
 
-``python -m experiments.as_pixloc WEIGHTS OUT`` writes the layers of WEIGHTS that both networks have
-(features, confidences and damping) as weights of PixLoc.
+    python -m experiments.convert_to_pixloc WEIGHTS OUT
+
+It writes the layers of WEIGHTS that both networks have (features, confidences and damping) as
+weights of PixLoc.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from objconnect.network.network import read_network
 from objconnect.scene.errors import InputError
 
 
-def as_pixloc(weights: Path) -> PixlocNet:
+def convert_to_pixloc(weights: Path) -> PixlocNet:
     """Return the network of PixLoc with the weights that it shares with one of object-connect.
 
     Raises:
@@ -41,7 +43,7 @@ def main() -> None:
     parser.add_argument("weights", type=Path)
     parser.add_argument("out", type=Path)
     args = parser.parse_args()
-    network = as_pixloc(args.weights)
+    network = convert_to_pixloc(args.weights)
     args.out.parent.mkdir(parents=True, exist_ok=True)
     write_weights(args.out, network, network.config.model_dump(mode="json"))
 

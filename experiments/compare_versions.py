@@ -1,10 +1,12 @@
 """Compare processor seconds and errors of queries between versions of the code.
 
-``python -m experiments.beside SCENE --versions BEFORE . --cache CACHE`` (folders of the code).
-Each version has its own process with one thread. All versions localize a query before any localizes
-the next, so that other work on the machine slows them equally: read the ratios. With ``--threads
-2``, seconds are wall-clock time, which needs an idle machine. ``--set`` applies to the last version
-only, or to all with ``--alike``. ``--prepare`` prepares the map with an empty cache instead.
+    python -m experiments.compare_versions SCENE --versions BEFORE . --cache CACHE
+
+BEFORE and ``.`` are folders of the code. Each version has its own process with one thread. All
+versions localize a query before any localizes the next, so that other work on the machine slows
+them equally: read the ratios. With ``--threads 2``, seconds are wall-clock time, which needs an
+idle machine. ``--set`` applies to the last version only, or to all with ``--alike``. ``--prepare``
+prepares the map with an empty cache instead.
 """
 
 from __future__ import annotations

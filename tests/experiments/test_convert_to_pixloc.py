@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from experiments.as_pixloc import as_pixloc, main
+from experiments.convert_to_pixloc import convert_to_pixloc, main
 from objconnect.learning.checkpoint import write_weights
 from objconnect.learning.pixloc_net import read_network
 from objconnect.network.localizer import SHIPPED
@@ -19,7 +19,7 @@ from tests.objconnect.network.test_network import network
 def test_features_are_those_of_the_network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The shipped network without its objects, read back as PixLoc's."""
     out = tmp_path / "made" / "weights.safetensors"
-    monkeypatch.setattr(sys, "argv", ["as_pixloc", str(SHIPPED), str(out)])
+    monkeypatch.setattr(sys, "argv", ["convert_to_pixloc", str(SHIPPED), str(out)])
     main()
     peer, _ = read_network(out)
     ours, _ = read_ours(SHIPPED)
@@ -37,4 +37,4 @@ def test_a_pyramid_is_refused(tmp_path: Path) -> None:
     made = network(decoder="fpn")
     write_weights(path, made, made.config.model_dump(mode="json"))
     with pytest.raises(InputError, match="feature pyramid"):
-        as_pixloc(path)
+        convert_to_pixloc(path)
