@@ -1,6 +1,7 @@
 """Registries of localizers and of methods that can be trained, by name.
 
-Importing this module imports no method, because the help of the command line lists the names.
+Importing this module imports no method, so that the command line's help, which lists the names, is
+quick.
 """
 
 from __future__ import annotations

@@ -5,7 +5,8 @@ chance; ``pytest --update-recall`` records the results as the baseline instead.
 
 pytest loads this module in every repository of the environment. A repository may have a package
 that is called ``benchmark`` too, so this module does not import ``benchmark``. It runs the
-comparison as ``objconnect regress`` in a separate process, which finds the right one first.
+comparison as ``objconnect regress`` in a separate process, which imports this project's
+``benchmark``.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ def no_recall_drop(request: pytest.FixtureRequest) -> Callable[[Path, Path], Non
 
 
 def _regress(arguments: list[str]) -> subprocess.CompletedProcess[str]:
-    """Run ``objconnect regress``, also if the repository has a package ``benchmark`` too.
+    """Run ``objconnect regress``, even if the repository has its own package ``benchmark``.
 
     ``-P`` keeps the working folder off the path, and ``PYTHONPATH`` puts ``_PACKAGES`` first.
     """

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from benchmark.auditing.findings import Finding, right, unknown, wrong
 from benchmark.auditing.statements import StatedData
 from objconnect.scene.errors import InputError
-from objconnect.scene.geo.sea_level import above_ellipsoid
+from objconnect.scene.geo.sea_level import convert_to_ellipsoid
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.digests import sha256_of
@@ -64,7 +64,7 @@ def read_photographs(stated: StatedData) -> Photographs:
         for done, (name, file) in enumerate(zip(stated.names, files, strict=True), 1):
             try:
                 height, width = read_rgb(file).shape[:2]
-                tags, digest = above_ellipsoid(read_exif(file)), sha256_of(file)
+                tags, digest = convert_to_ellipsoid(read_exif(file)), sha256_of(file)
             except (InputError, OSError) as error:
                 faults[name] = str(error)
                 sizes, exif, digests = [*sizes, None], [*exif, None], [*digests, None]

@@ -19,7 +19,7 @@ import torch
 from benchmark.datasets.dataset import BenchmarkQuery, Dataset
 from benchmark.datasets.flight import TRACK
 from benchmark.datasets.identity import parts_of
-from objconnect.ingestion.virtual.command import recorded_heights
+from objconnect.ingestion.virtual.command import read_recorded_heights
 from objconnect.scene.bundle.scene import Scene, is_scene
 from objconnect.scene.errors import InputError
 from objconnect.scene.flights.textfiles import read_cameras, read_poses
@@ -129,11 +129,11 @@ def _read_world_poses(path: Path, scene: Scene) -> dict[str, Pose]:
     Returns:
         cam_from_world by name of the photograph without its suffix.
     """
-    heights = recorded_heights(scene)
+    heights = read_recorded_heights(scene)
     projection = Raster.open(scene.path.parent / heights.file, "surface model").grid.projection
     lift = torch.tensor([0.0, 0.0, heights.undulation_m], dtype=torch.float64)
     poses: dict[str, Pose] = {}
-    for name, pose in read_poses(path, most_unclear_m=_MOST_UNCLEAR_M).items():
+    for name, pose in read_poses(path, max_rounding_m=_MOST_UNCLEAR_M).items():
         stem = Path(name).stem
         if stem in poses:
             raise InputError(f"{path}: two poses are of {stem}: remove one of the lines")

@@ -86,7 +86,7 @@ def open_sealed(path: Path) -> list[Task]:
 
 
 def _folder(path: Path) -> Path:
-    return download(path, "dataset", without=_NOT_READ) if is_address(path) else path
+    return download(path, "dataset", exclude=_NOT_READ) if is_address(path) else path
 
 
 def _drop_references(dataset: Dataset) -> Task:

@@ -79,7 +79,7 @@ _ROUNDING: Final = 1e-9
 
 @dataclass(frozen=True)
 class _Source:
-    """The inputs of a run; all but ``base`` are those of the new photographs.
+    """The inputs of a run: a finished scene, and the new photographs with their plan.
 
     Attributes:
         base: the scene that photographs are added to.
@@ -171,7 +171,7 @@ def _name_session(base: Scene) -> str:
 
 
 def _known_photographs(base: Scene) -> dict[str, str]:
-    """Return the photographs of a scene: file by digest, of originals and of copies."""
+    """Return files by digest: the photographs in a scene, and the originals they were made of."""
     files = {digest: name for name, digest in base.manifest.sha256.items() if "/images/" in name}
     plan = read_plan(base.manifest)
     if plan is not None:
@@ -186,7 +186,7 @@ def _drop_known(flight: Flight, known: Mapping[str, str], scene: Path) -> Flight
         for image in flight.images
         if image.sha256 in known
     }
-    new = flight.without(duplicates)
+    new = flight.leave_out(duplicates)
     if not new.images:
         file, why = next(iter(new.left_out.items()))
         reason = f"{file} is {why}" if file in duplicates else why
@@ -203,8 +203,8 @@ def _build(out: Path, source: _Source) -> IngestReport:
     known = _read_known_map(base)
     flight, model, rotated = _register(out, source, known)
     images, fixes = flight.images, source.fixes
-    placed = replace(compare_with_fixes(_select_images(model, images), fixes), level="map")
-    adjusted = AdjustedModel(model, placed, RefinedLenses(()), 0.0, {}, out / WORK)
+    georegistration = replace(compare_with_fixes(_select_images(model, images), fixes), level="map")
+    adjusted = AdjustedModel(model, georegistration, RefinedLenses(()), 0.0, {}, out / WORK)
     frames = out / "sessions" / source.session / FRAMES
     wrong_attitudes = write_measurements(frames, adjusted, images, fixes, queries)
     sparse_map = write_map(out, model, queries, out / WORK / DATABASE, known)
@@ -252,7 +252,7 @@ def _copy_sessions(base: Scene, out: Path) -> None:
 
 
 def _read_known_map(base: Scene) -> KnownMap:
-    """Return the map of a scene, with the poses of its frames where they equal the map's."""
+    """Return the map of a scene, with the frames' exact poses where the map's only round them."""
     sparse_map, features = read_map_features(base)
     exact: dict[str, Array] = {}
     for session in base.sessions:
@@ -282,7 +282,7 @@ def _register(out: Path, source: _Source, known: KnownMap) -> tuple[Flight, Spar
         )
     registered = model.images.keys()
     lost = [image.file for image in copied.images if image.name not in registered]
-    flight = copied.without(dict.fromkeys(lost, "not registered: too few matches"))
+    flight = copied.leave_out(dict.fromkeys(lost, "not registered: too few matches"))
     if not flight.images:
         raise InputError(
             f"none of the {len(source.flight.images)} new photographs could be registered in "
@@ -294,7 +294,7 @@ def _register(out: Path, source: _Source, known: KnownMap) -> tuple[Flight, Spar
             new,
             compare_with_fixes(new, source.fixes),
             flight.images,
-            agreeing=sum(int(base.frames(s).has_attitude.sum()) for s in base.sessions),
+            upright_count=sum(int(base.frames(s).has_attitude.sum()) for s in base.sessions),
         )
         if rotated:
             restart_rotated(out, rotated, models)
@@ -316,8 +316,8 @@ def _match(out: Path, source: _Source, known: KnownMap, photographs: Sequence[Ph
     with progress_bar("extract", len(old) + len(new)) as advance:
         match_new(known, photographs, job, database, advance)
     with_gps = [name for name in new if name in source.fixes]
-    near = choose_pairs([*old, *with_gps], {**centres, **source.fixes}, options)
-    pairs = {pair for pair in near if pair[1] in source.fixes}
+    neighbours = choose_pairs([*old, *with_gps], {**centres, **source.fixes}, options)
+    pairs = {pair for pair in neighbours if pair[1] in source.fixes}
     pairs |= set(choose_pairs(new, source.fixes, options))
     if len(with_gps) < len(new):
         without_gps = [name for name in new if name not in source.fixes]
@@ -342,7 +342,7 @@ def _write_lists(out: Path, source: _Source, model: SparseMap, names: Sequence[s
         queries={**base.splits.queries, **({source.session: new_queries} if new_queries else {})},
     )
     write_json(out / "splits.json", splits)
-    before = base.covisibility
+    old = base.covisibility
     cameras: dict[str, Camera] = {}
     poses: dict[str, Array] = {}
     for session in base.sessions:
@@ -351,7 +351,7 @@ def _write_lists(out: Path, source: _Source, model: SparseMap, names: Sequence[s
         poses |= dict(zip(frames.names, frames.cam_from_world, strict=True))
     cameras |= {name: model.images[name].camera for name in names}
     poses |= {name: model.images[name].cam_from_world for name in names}
-    all_names = (*before.names, *names)
+    all_names = (*old.names, *names)
     points = [
         sample_points(model, name, COVISIBILITY_POINTS)
         if name in model.images
@@ -365,7 +365,7 @@ def _write_lists(out: Path, source: _Source, model: SparseMap, names: Sequence[s
         np.stack([poses[name] for name in all_names]),
         np.stack(points),
     )
-    overlap[: len(before.names), : len(before.names)] = before.overlap
+    overlap[: len(old.names), : len(old.names)] = old.overlap
     write_covisibility(out / COVISIBILITY, Covisibility(all_names, overlap))
     return splits
 

@@ -48,7 +48,8 @@ class AdjustedModel:
 
     Attributes:
         model: The adjusted model, in world metres.
-        placed: The georegistration before the adjustment.
+        georegistration: The georegistration before the adjustment. Its ``level`` is "control" if
+            the model was adjusted to control points.
         refined: The lenses whose parameters were adjusted.
         delay: Seconds by which fixes lag behind the photographs; 0 where unknown.
         undelayed_fixes: Fixes (3,) with the delay removed, by name, world metres; empty without a
@@ -57,7 +58,7 @@ class AdjustedModel:
     """
 
     model: SparseMap
-    placed: Georegistration
+    georegistration: Georegistration
     refined: RefinedLenses
     delay: float
     undelayed_fixes: Mapping[str, Array]
@@ -81,19 +82,19 @@ def adjust(
         work: Folder for the adjusted model.
 
     Raises:
-        InputError: As ``georegister``.
+        InputError: For the reasons of ``georegister``.
     """
     raw = read_model(model_path)
     order = [photograph.name for photograph in photographs if photograph.name in raw.images]
-    placed, delay, used = _place(raw, order, fixes, times)
-    positions = {n: used[n] for n in raw.names if n in used and n not in placed.blunders}
-    sigma = np.minimum(placed.sigma, NO_ALTITUDE_SIGMA_M)
+    georegistration, delay, used = _place(raw, order, fixes, times)
+    positions = {n: used[n] for n in raw.names if n in used and n not in georegistration.blunders}
+    sigma = np.minimum(georegistration.sigma, NO_ALTITUDE_SIGMA_M)
     without_altitude = find_missing_altitudes(positions)
-    if placed.level == "ground":
+    if georegistration.level == "ground":
         without_altitude = set(positions)
     for name in positions:
         if name in without_altitude:
-            height = placed.apply(raw.images[name].centre[None])[0, 2]
+            height = georegistration.apply(raw.images[name].centre[None])[0, 2]
             positions[name] = np.array([*positions[name][:2], height])
     has_relief = _relief(raw) > _MIN_RELIEF
     focal = {p.lens for p in photographs if not p.calibrated and (has_relief or not p.focal_known)}
@@ -105,14 +106,16 @@ def adjust(
             model = adjust_to_positions(
                 model_path,
                 photographs,
-                placed.world_from_model,
+                georegistration.world_from_model,
                 MeasuredPositions(
                     positions, sigma, dict.fromkeys(without_altitude, NO_ALTITUDE_SIGMA_M)
                 ),
                 refined,
                 folder,
             )
-        return AdjustedModel(model, placed, refined, delay, {} if used is fixes else used, out)
+        return AdjustedModel(
+            model, georegistration, refined, delay, {} if used is fixes else used, out
+        )
 
     best = solve(principal_point=False)
     if _common_direction(raw, photographs) < _MAX_COMMON_DIRECTION:
@@ -122,7 +125,7 @@ def adjust(
             best = refined
     return (
         _raise_to_altitudes(best, used)
-        if placed.level == "ground" and find_missing_altitudes(used)
+        if georegistration.level == "ground" and find_missing_altitudes(used)
         else best
     )
 
@@ -161,31 +164,33 @@ def _place(
         The georegistration, the delay in seconds (0 if unknown), and the fixes with the delay
         removed; without a delay these are ``fixes`` itself.
     """
-    placed, used, delay = georegister(raw, fixes), fixes, 0.0
+    georegistration, used, delay = georegister(raw, fixes), fixes, 0.0
     for _ in range(_MAX_DELAY_ESTIMATES):
-        centres = dict(zip(raw.names, placed.apply(raw.centres), strict=True))
+        centres = dict(zip(raw.names, georegistration.apply(raw.centres), strict=True))
         motions = estimate_motions(order, centres, times)
-        trusted = {n: fixes[n] for n in raw.names if n in fixes and n not in placed.blunders}
+        trusted = {
+            n: fixes[n] for n in raw.names if n in fixes and n not in georegistration.blunders
+        }
         delay = find_delay(motions, centres, trusted)
         if delay == 0:
             break
         used = undo_delay(fixes, motions, delay)
-        placed = georegister(raw, used)
+        georegistration = georegister(raw, used)
     if delay == 0 and used is not fixes:
-        placed, used = georegister(raw, fixes), fixes
-    return placed, delay, used
+        georegistration, used = georegister(raw, fixes), fixes
+    return georegistration, delay, used
 
 
 def _relief(model: SparseMap) -> float:
     """Return the range of depths within the median photograph, as a share of its median depth."""
-    spread = []
+    reliefs = []
     for image in model.images.values():
         xyz = model.xyz[image.point_rows[image.point_rows >= 0]]
         depth = (xyz @ image.cam_from_world[:3, :3].T + image.cam_from_world[:3, 3])[:, 2]
         if len(depth):
             near, middle, far = np.percentile(depth, [5, 50, 95])
-            spread.append((far - near) / middle)
-    return float(np.median(spread))
+            reliefs.append((far - near) / middle)
+    return float(np.median(reliefs))
 
 
 def _common_direction(model: SparseMap, photographs: Sequence[Photograph]) -> float:

@@ -26,25 +26,25 @@ _HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 
 def find_upside_down(
     model: SparseMap,
-    placed: Georegistration,
+    georegistration: Georegistration,
     images: Sequence[FlightImage],
-    agreeing: int = 0,
+    upright_count: int = 0,
 ) -> set[str]:
     """Return the names of photographs that were rotated by 180 degrees after they were taken.
 
-    Their attitudes differ from their gimbals' by 180 degrees, while more photographs agree with
-    their gimbals. Such a photograph has the same lens as the others, but its principal point is
-    mirrored.
+    The attitude of such a photograph differs from that of its gimbal by 180 degrees, while more
+    photographs agree with their gimbals. It has the same lens as the others, but its principal
+    point is mirrored.
 
     Args:
         model: The model, in its own frame.
-        placed: Where the model is in the world.
+        georegistration: Position, rotation and scale of the model in the world.
         images: Photographs of the model; there may be others.
-        agreeing: Number of other photographs whose gimbals are known to agree.
+        upright_count: Number of other photographs that are known to agree with their gimbals.
     """
-    linear = placed.world_from_model[:, :3]
+    linear = georegistration.world_from_model[:, :3]
     world_from_model = linear / np.cbrt(np.linalg.det(linear))
-    rotated, upright = set(), agreeing
+    rotated, upright = set(), upright_count
     for image in images:
         if image.exif.gimbal is None or image.name not in model.images:
             continue
@@ -67,12 +67,13 @@ def read_attitudes(
     poses: NDArray[np.float64],
     queries: set[str],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], dict[str, float]]:
-    """Return the attitudes of the gimbal, their standard deviations, and the wrong ones.
+    """Return the gimbal's attitudes, their standard deviations, and the errors of wrong ones.
 
     Args:
         images: The photographs.
         poses: Poses ``cam_from_world`` (N, 4, 4) of the photographs.
-        queries: Names of the queries. The sigma is measured on the other photographs.
+        queries: Names of the queries. The sigma is measured on the other photographs if one of
+            them has an attitude, else on the queries.
 
     Returns:
         Quaternions (N, 4), w x y z, and their sigma (N,) in degrees per axis, both NaN for a
@@ -89,9 +90,9 @@ def read_attitudes(
     blunders = {images[k].file: float(errors[k]) for k in np.flatnonzero(wrong)}
     quaternions[wrong] = errors[wrong] = np.nan
     known = np.isfinite(errors)
-    mapped = known & np.array([image.name not in queries for image in images])
-    if not mapped.any():
-        mapped = known
-    sigma = np.sqrt((errors[mapped] ** 2).mean() / 3) if known.any() else np.nan
+    measured = known & np.array([image.name not in queries for image in images])
+    if not measured.any():
+        measured = known
+    sigma = np.sqrt((errors[measured] ** 2).mean() / 3) if known.any() else np.nan
     sigma = np.maximum(sigma, _MIN_SIGMA_DEG)
     return quaternions, np.where(known, sigma, np.nan), blunders

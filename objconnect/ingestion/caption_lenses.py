@@ -31,8 +31,9 @@ class Lenses:
             unknown.
         zooms: Digital zoom of each subtitle, a ratio; 1 where the file has none, None where
             unknown.
-        doubts: Reasons why values are unknown, a phrase each; three at most.
-        doubts_of: Reasons for each subtitle, or how its values were decided.
+        doubts: Reasons why values are unknown, and notes on how values were decided, a phrase each;
+            three at most.
+        doubts_of: The same reasons and notes for each subtitle.
     """
 
     focals: Sequence[float | None]
@@ -46,7 +47,7 @@ def parse_lenses(
 ) -> Lenses:
     """Parse the lenses of a file's subtitles.
 
-    A subtitle without a value takes that of the others, if these are all equal.
+    A subtitle without a value takes the value of the other subtitles if they all agree.
 
     Args:
         captions: Subtitles sorted by time.

@@ -1,6 +1,6 @@
 """Parse positions from a drone's subtitles.
 
-Field names or letters tell latitude from longitude; otherwise plausibility checks decide.
+Field names or letters distinguish latitude from longitude; otherwise plausibility checks decide.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Positions:
 
 @dataclass(frozen=True)
 class _Fix:
-    """Two numbers of a subtitle: latitude and longitude, or a pair of unknown order."""
+    """The position of a subtitle: latitude and longitude, or two numbers of unknown order."""
 
     lat_lon: Pair | None = None
     pair: Pair | None = None
@@ -88,12 +88,12 @@ def parse_positions(
             pair = fixes[row].pair
             if order.value is not None and pair is not None:
                 positions[row] = to_lat_lon(pair, order.value)
-    kept = drop_jumps(seconds, positions)
-    lost = [row for row, fix in enumerate(positions) if fix is not None and kept[row] is None]
-    doubt_of |= dict.fromkeys(lost, "its position is out of a drone's reach")
-    if lost:
-        doubts[f"{len(lost)} positions jump out of a drone's reach, and are left out"] = None
-    return Positions(kept, tuple(doubts)[:3], doubt_of)
+    values = drop_jumps(seconds, positions)
+    jumps = [row for row, fix in enumerate(positions) if fix is not None and values[row] is None]
+    doubt_of |= dict.fromkeys(jumps, "its position is out of a drone's reach")
+    if jumps:
+        doubts[f"{len(jumps)} positions jump out of a drone's reach, and are left out"] = None
+    return Positions(values, tuple(doubts)[:3], doubt_of)
 
 
 def _parse_fix(caption: Caption, marks: DecimalMarks) -> _Fix:
@@ -101,17 +101,17 @@ def _parse_fix(caption: Caption, marks: DecimalMarks) -> _Fix:
     latitude = next((fields[name] for name in LATITUDES if name in fields), None)
     longitude = next((fields[name] for name in LONGITUDES if name in fields), None)
     if latitude is not None and longitude is not None:
-        return _fix_by_names(latitude, longitude, marks)
+        return _parse_named_fix(latitude, longitude, marks)
     name = next((name for name in _PAIRS if name in caption.tuples), None)
     if name is not None:
-        return _fix_by_pair(name, caption.tuples[name], marks)
+        return _parse_paired_fix(name, caption.tuples[name], marks)
     bare = next((name for name in _PAIRS if name in fields), None)
     return (
         _Fix() if bare is None else _Fix(doubt=_describe_unknown(bare.upper(), fields[bare], marks))
     )
 
 
-def _fix_by_names(latitude: str, longitude: str, marks: DecimalMarks) -> _Fix:
+def _parse_named_fix(latitude: str, longitude: str, marks: DecimalMarks) -> _Fix:
     coordinates = tuple(
         _parse_spelled(text, axis)
         if (number := _parse_coordinate(text, letters, marks)) is None
@@ -123,7 +123,7 @@ def _fix_by_names(latitude: str, longitude: str, marks: DecimalMarks) -> _Fix:
     ):
         if number is None:
             return _Fix(doubt=_describe_unknown(name, text, marks))
-    lat_lon = _valid_position(*coordinates)
+    lat_lon = _check_position(*coordinates)
     if lat_lon is None and any(coordinates):
         return _Fix(doubt=f"latitude {latitude[:40]}, longitude {longitude[:40]} is not on earth")
     return _Fix(lat_lon)
@@ -145,7 +145,7 @@ def _parse_coordinate(text: str, letters: str, marks: DecimalMarks) -> float | N
     return _SIGNS[letter] * number if letter in letters and number >= 0 else None
 
 
-def _fix_by_pair(name: str, inner: str, marks: DecimalMarks) -> _Fix:
+def _parse_paired_fix(name: str, inner: str, marks: DecimalMarks) -> _Fix:
     doubt = _describe_unknown(name.upper(), f"({inner})", marks)
     parts = split_tuple(inner)
     if not 2 <= len(parts) <= 3:
@@ -167,7 +167,7 @@ def _fix_by_pair(name: str, inner: str, marks: DecimalMarks) -> _Fix:
     if first is None or second is None:
         return _Fix(doubt=doubt)
     order: Order = "latitude" if kinds[0] == "NS" else "longitude"
-    return _Fix(_valid_position(*to_lat_lon((first, second), order)))
+    return _Fix(_check_position(*to_lat_lon((first, second), order)))
 
 
 def _describe_unknown(name: str, text: str, marks: DecimalMarks) -> str:
@@ -175,7 +175,7 @@ def _describe_unknown(name: str, text: str, marks: DecimalMarks) -> str:
     return f"{name} {text[:40]} is not understood{why}"
 
 
-def _valid_position(latitude: float | None, longitude: float | None) -> Pair | None:
+def _check_position(latitude: float | None, longitude: float | None) -> Pair | None:
     """Return the coordinates; None where one is missing or out of range, or both are 0."""
     if latitude is None or longitude is None:
         return None
@@ -189,7 +189,7 @@ def _gather_pairs(
 ) -> PairedTrack:
     """Gather the values of the subtitles that decide the order of their pairs."""
     homes = {
-        _fix_by_pair("home", captions[row].tuples["home"], marks): None
+        _parse_paired_fix("home", captions[row].tuples["home"], marks): None
         for row in rows
         if "home" in captions[row].tuples
     }

@@ -60,7 +60,7 @@ class Caption:
         opened = plain.rfind("[")
         if opened > plain.rfind("]"):
             plain = plain[:opened]
-        fields = _merge(_fields(plain))
+        fields = _merge(_iterate_fields(plain))
         # ``BAROMETER(60.0)`` is a field in parentheses.
         fields |= {name: inner for name, inner in tuples.items() if name not in fields}
         return Caption(subtitle, text, fields, tuples)
@@ -85,7 +85,7 @@ def _merge(items: Iterator[tuple[str, str]] | list[tuple[str, str]]) -> dict[str
     return merged
 
 
-def _fields(text: str) -> Iterator[tuple[str, str]]:
+def _iterate_fields(text: str) -> Iterator[tuple[str, str]]:
     """Yield names in lower case and values of fields with a colon and of compact fields."""
     names = list(_FIELD.finditer(text))
     starts = [*(match.start() for match in names), len(text)]
@@ -117,6 +117,8 @@ def split_tuple(inner: str) -> list[str]:
 
 def split_letter(part: str) -> tuple[str, str]:
     """Split a coordinate into the letter of its direction (N, S, E, W or none) and the rest.
+
+    The letter is "?" if there are two.
 
     Examples:
         >>> split_letter("W: 97.6"), split_letter("8.5"), split_letter("47.1° N")

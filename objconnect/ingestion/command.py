@@ -123,7 +123,7 @@ def ingest(
             adjusted, all points are check points.
         checks: names of the check points, which do not take part in the adjustment.
         add: finished scene to which the photographs are added, see ``add_photographs``. It is not
-            changed, and ``out`` becomes a scene of both.
+            changed; ``out`` becomes a new scene of its photographs and the added ones.
         camera: calibration of all photographs; None takes it from ``poses`` or EXIF.
         size: longest side of the photographs in the scene, pixels; larger ones are reduced.
         mapper: "incremental" or "global" structure from motion.
@@ -133,8 +133,8 @@ def ingest(
 
     Raises:
         InputError: fewer than three photographs can be read, have positions or overlap; ``out``
-            holds other files, cannot be written or is being written by another run; or as
-            ``add_photographs``.
+            holds other files, cannot be written or is being written by another run; or for the
+            reasons of ``add_photographs``.
     """
     if photographs.resolve() in (out.resolve(), *out.resolve().parents):
         raise InputError(f"{out} lies in the folder of photographs: choose a folder outside it")
@@ -231,7 +231,9 @@ def _build(out: Path, source: _Source) -> IngestReport:
     write_lists(out, model, images, queries)
     rotated_files = [image.file for image in images if image.name in rotated]
     receiver = Receiver(fixes, {} if source.plan.gps is not None else read_sigmas(images))
-    georeference = estimate_georeference(model, adjusted.placed, receiver, residuals, options)
+    georeference = estimate_georeference(
+        model, adjusted.georegistration, receiver, residuals, options
+    )
     findings = Findings(wrong_attitudes, rotated_files, residuals, georeference)
     report = make_report(photographs, flight, adjusted, fixes, sparse_map, findings)
     write_json(out / REPORT, report)
@@ -291,7 +293,7 @@ def _reconstruct(out: Path, source: _Source) -> tuple[Flight, Path, set[str]]:
         if rotated:
             restart_rotated(out, rotated, model_path.parent)
             return _reconstruct(out, source)
-    flight = copied.without({files[name]: reason for name, reason in unregistered.items()})
+    flight = copied.leave_out({files[name]: reason for name, reason in unregistered.items()})
     return flight, model_path, rotated
 
 

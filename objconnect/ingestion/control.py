@@ -28,8 +28,8 @@ Role = Literal["used", "check", "wrong", "unseen"]
 # Minimum number of points of a similarity, and of points among which a wrong one is detected.
 _MIN_POINTS: Final = 3
 _MIN_POINTS_TO_DETECT: Final = 5
-# Gauss-Newton iterations of a triangulation, and the condition number above which its rays count as
-# parallel.
+# Gauss-Newton iterations of a triangulation, and the condition number above which its rays are
+# treated as parallel.
 _ITERATIONS: Final = 5
 _MAX_CONDITION: Final = 1e8
 # A point is wrong if its residual exceeds both this (m) and what the scatter of the other points
@@ -131,10 +131,11 @@ def fit_to_control(
     """Adjust a georegistered model to the control points, and measure all points.
 
     Three or more points that are not on a line are adjusted together with the keypoints and replace
-    GPS. Fewer points shift the model. Check points are measured and not used.
+    GPS. Fewer points, or points on a line, only shift the model. Check points are measured and not
+    used.
 
     Args:
-        adjusted: the model as GPS placed it.
+        adjusted: the model after georegistration.
         points: the points, with marks in the scene's photographs.
         origin: geodetic coordinates of the world's origin.
         photographs: photographs of the model; others are ignored.
@@ -155,14 +156,14 @@ def fit_to_control(
     roles |= {p.name: "unseen" for p in points if p.name not in triangulated}
     roles |= {p.name: "used" for p in used}
     if used:
-        fixed = [
+        targets = [
             SurveyedPoint(
-                surveyed[p.name], options.control_sigma_m, _marks_in(p.marks, adjusted.model)
+                surveyed[p.name], options.control_sigma_m, _select_marks(p.marks, adjusted.model)
             )
             for p in used
         ]
-        before = np.array([triangulated[p.name] for p in used])
-        adjusted = _move_to_points(adjusted, fixed, before, photographs, work)
+        positions = np.array([triangulated[p.name] for p in used])
+        adjusted = _move_to_points(adjusted, targets, positions, photographs, work)
     return adjusted, tuple(
         _residual(adjusted.model, point, roles[point.name], surveyed[point.name])
         for point in points
@@ -170,7 +171,7 @@ def fit_to_control(
 
 
 def _find_wrong(triangulated: Array, surveyed: Array) -> NDArray[np.bool_]:
-    """Return which points contradict the others, (N,); none where there are too few to judge."""
+    """Return which points contradict the others, (N,); none if they are few or on a line."""
     if len(triangulated) < _MIN_POINTS_TO_DETECT or is_on_a_line(triangulated):
         return np.zeros(len(triangulated), bool)
     return ~fit_robust_similarity(triangulated, surveyed, _WRONG_M)[1]
@@ -183,7 +184,7 @@ def _move_to_points(
     photographs: Sequence[Photograph],
     work: Path,
 ) -> AdjustedModel:
-    """Return the model after the fit to points, which it has ``triangulated`` at (N, 3)."""
+    """Return the model fitted to points; ``triangulated`` are their positions in it, (N, 3)."""
     surveyed = np.array([point.xyz for point in points])
     if len(points) < _MIN_POINTS or is_on_a_line(triangulated):
         shift = np.column_stack([np.eye(3), (surveyed - triangulated).mean(0)])
@@ -197,18 +198,18 @@ def _move_to_points(
             adjusted.refined,
             folder,
         )
-    placed = replace(adjusted.placed, level="control")
-    return replace(adjusted, model=model, placed=placed)
+    georegistration = replace(adjusted.georegistration, level="control")
+    return replace(adjusted, model=model, georegistration=georegistration)
 
 
-def _marks_in(marks: Mapping[str, Array], model: SparseMap) -> dict[str, Array]:
+def _select_marks(marks: Mapping[str, Array], model: SparseMap) -> dict[str, Array]:
     return {name: xy for name, xy in marks.items() if name in model.images}
 
 
 def _residual(
     model: SparseMap, point: ControlPoint, role: Role, surveyed: Array
 ) -> ControlResidual:
-    marks = len(_marks_in(point.marks, model))
+    marks = len(_select_marks(point.marks, model))
     triangulated = triangulate_marks(model, point.marks)
     if triangulated is None:
         return ControlResidual(name=point.name, role=role, marks=marks)

@@ -23,7 +23,7 @@ from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic, is_on
 from objconnect.scene.imports.names import match_files
 from objconnect.scene.storage.files import read_text
 
-# Maximum distance (m) of surveyed points from the photographs' GPS positions.
+# Maximum median distance (m) of surveyed points from the middle of the photographs' GPS positions.
 _MAX_DISTANCE_M = 20_000.0
 _COLUMNS = "x y z px py photograph [name]"
 
@@ -33,7 +33,7 @@ class ControlPoint:
     """A surveyed point.
 
     Attributes:
-        name: name in the list, or its number there.
+        name: name in the list, or "point" with its number there.
         geodetic: surveyed coordinates; the height is ellipsoidal unless the list's system has
             other heights.
         check: whether it is a check point, which does not take part in the adjustment.

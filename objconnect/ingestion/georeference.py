@@ -27,55 +27,55 @@ class Receiver:
 
     Attributes:
         fixes: Measured positions (3,) by name, world metres.
-        stated: Standard deviations (3,) east, north and up that the receiver states, as with RTK,
-            metres, by name.
+        stated_sigma: Standard deviations (3,) east, north and up that the receiver states, as with
+            RTK, metres, by name.
     """
 
     fixes: Mapping[str, Array]
-    stated: Mapping[str, tuple[float, float, float]]
+    stated_sigma: Mapping[str, tuple[float, float, float]]
 
 
 def estimate_georeference(
     model: SparseMap,
-    placed: Georegistration,
+    georegistration: Georegistration,
     receiver: Receiver,
     control: Sequence[ControlResidual],
     options: IngestOptions,
 ) -> Georeference | None:
     """Estimate the accuracy of a model's georegistration; None where it is unknown.
 
-    Ground control points take precedence: the variance is that of their residuals plus that of
-    their coordinates. Check points replace control points where there are any, because the
-    adjustment has made the residuals of control points small.
+    Ground control points take precedence: the variance of each axis is the sum of the variances of
+    their residuals and of their coordinates. Check points replace control points where there are
+    any, because the adjustment has made the residuals of control points small.
 
-    Without points, the variance of each axis is that of the error that all fixes of a flight share,
-    plus that of the fixes' residuals. It is not divided by the number of fixes, because errors
-    within one flight are correlated and the model follows their common part.
+    Without points, it is the sum of the variances of the error that all fixes of a flight share and
+    of the fixes' residuals. It is not divided by the number of fixes, because errors within one
+    flight are correlated and the model follows their common part.
 
     Args:
         model: The model in the world.
-        placed: Its georegistration, with the scatter of its fixes.
+        georegistration: Its georegistration, with the scatter of its fixes.
         receiver: The fixes.
         control: The ground control points.
         options: The sigmas that cannot be measured.
     """
-    by_control = _from_control(control, options)
-    used = [n for n in model.names if n in receiver.fixes and n not in placed.blunders]
+    by_control = _estimate_from_control(control, options)
+    used = [n for n in model.names if n in receiver.fixes and n not in georegistration.blunders]
     if by_control is not None or len(used) < _MIN_FIXES:
         return by_control
-    stated = [receiver.stated.get(name) for name in used]
+    stated = [receiver.stated_sigma.get(name) for name in used]
     measured = [sigma for sigma in stated if sigma is not None]
     if len(measured) == len(used):  # corrected positions, with heights above the ellipsoid
         shared = (np.array(measured) ** 2).mean(0)
     else:
-        across = options.receiver_sigma_m**2
+        horizontal = options.receiver_sigma_m**2
         up = options.receiver_height_sigma_m**2 + options.height_datum_sigma_m**2
-        shared = np.array([across, across, up])
-    east, north, up = (shared + placed.sigma**2).tolist()
-    return _georeference(east + north, math.sqrt(up), "gps")
+        shared = np.array([horizontal, horizontal, up])
+    east, north, up = (shared + georegistration.sigma**2).tolist()
+    return _make_georeference(east + north, math.sqrt(up), "gps")
 
 
-def _from_control(
+def _estimate_from_control(
     control: Sequence[ControlResidual], options: IngestOptions
 ) -> Georeference | None:
     """Return the accuracy by ground control points; None without enough usable ones."""
@@ -86,10 +86,10 @@ def _from_control(
             return None
         residuals = np.array(used)
     east, north, up = (residuals**2).mean(0) + options.control_sigma_m**2
-    return _georeference(east + north, math.sqrt(up), "control")
+    return _make_georeference(east + north, math.sqrt(up), "control")
 
 
-def _georeference(horizontal_variance: float, vertical_m: float, source: str) -> Georeference:
+def _make_georeference(horizontal_variance: float, vertical_m: float, source: str) -> Georeference:
     return Georeference.model_validate(
         {
             "horizontal_m": round(math.sqrt(horizontal_variance), 4),

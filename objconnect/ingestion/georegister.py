@@ -27,7 +27,7 @@ USUAL_ERROR_M: Final = 5.0
 """Usual error (m) of receivers without corrections. Fixes within it are not outliers."""
 
 MIN_SIGMA_M: Final = 0.02
-"""Lower bound (m) of standard deviations of positions, that of a receiver with corrections."""
+"""Lower bound (m) of standard deviations of positions: a receiver with corrections has this one."""
 
 # Random samples of least median of squares. If half of the fixes are wrong, the probability that no
 # sample of three is right is (7/8)^500, about 1e-29.
@@ -53,7 +53,8 @@ class Georegistration:
     Attributes:
         world_from_model: Similarity (3, 4).
         level: What defines the vertical: "gps", the "ground" where altitudes are unusable or the
-            flight is straight, poses that are "given", or points of "control".
+            flight is straight, imported poses ("given"), control points ("control"), or the map
+            of the scene that photographs were added to ("map").
         blunders: Photographs whose fix is an outlier.
         sigma: Standard deviation (3,) of the other fixes per axis, metres.
     """
@@ -146,9 +147,9 @@ def _apply(similarity: Array, points: Array) -> Array:
 
 
 def _tilt_deg(similarity: Array, model: SparseMap, ground: Array) -> float:
-    """Return the angle between a similarity's vertical and that of ground and cameras.
+    """Return the smaller angle of a similarity's vertical to the ground's normal and the cameras.
 
-    It is 0 where ground and cameras differ more from each other than from that vertical.
+    It is 0 if ground and cameras differ more from each other.
 
     Args:
         similarity: Similarity from GPS with its altitudes.
@@ -209,7 +210,7 @@ def _fit_robust(
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Fit by least median of squares over random samples, then by least squares over inliers.
 
-    Residuals count along the first ``axes`` axes; a sample has as many points.
+    Residuals are measured along the first ``axes`` axes. Each sample has ``axes`` points.
     """
     rng = np.random.default_rng(0)
     best, least = fit(source, target), np.inf

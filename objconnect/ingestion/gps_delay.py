@@ -1,8 +1,8 @@
 """Estimate and remove the delay of GPS positions behind their photographs.
 
 A receiver needs time to compute, and a camera polls it at intervals. A photograph may therefore
-hold an earlier position of the aircraft. If lines are flown in both directions, the delay does not
-act as a shift of the whole flight.
+hold an earlier position of the aircraft. If lines are flown in both directions, a delay shifts them
+in opposite directions, which distinguishes it from a shift of the whole flight.
 """
 
 from __future__ import annotations
@@ -101,12 +101,12 @@ def find_delay(
 
     offsets = residuals_at(np.array([fixes[name][:2] - centres[name][:2] for name in names]))
     velocities = np.array([residuals_at(velocity * signs[numbers, None]) for signs in reversals])
-    along = velocities @ offsets
+    products = velocities @ offsets
     squares = np.square(velocities).sum(1)
-    explained = np.square(along) / np.maximum(squares, 1e-12)
+    explained = np.square(products) / np.maximum(squares, 1e-12)
     if (explained >= explained[0] * (1 - 1e-9)).mean() > _MAX_CHANCE:
         return 0.0
-    return float(-along[0] / squares[0])
+    return float(-products[0] / squares[0])
 
 
 def _list_reversals(lines: int) -> Array:

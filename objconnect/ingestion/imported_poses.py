@@ -116,7 +116,7 @@ def read_imported(
         sized = scale_camera(camera, size, image)
         images[image.name] = PosedImage(image.name, sized, foreign.cam_from_world[k])
     left_out = {i.file: f"no pose in {path.name}" for i in flight.images if i.file not in matched}
-    return flight.without(left_out), ImportedPoses(images, foreign.origin)
+    return flight.leave_out(left_out), ImportedPoses(images, foreign.origin)
 
 
 def triangulate_imported(
@@ -136,7 +136,7 @@ def triangulate_imported(
         database: file filled by ``match_photographs``; the model is written beside it.
 
     Raises:
-        InputError: no point could be triangulated, or as ``georegister``.
+        InputError: no point could be triangulated, or for the reasons of ``georegister``.
     """
     images = [imported.images[name] for name in names]
     lenses, folder = RefinedLenses(()), database.parent / "given"
@@ -144,8 +144,10 @@ def triangulate_imported(
         raw, _ = triangulate_again(root, images, database, partial)
     if imported.origin is not None:
         return AdjustedModel(raw, compare_with_fixes(raw, fixes), lenses, 0.0, {}, folder)
-    placed = georegister(raw, fixes)
-    return AdjustedModel(raw.transform(placed.world_from_model), placed, lenses, 0.0, {}, folder)
+    georegistration = georegister(raw, fixes)
+    return AdjustedModel(
+        raw.transform(georegistration.world_from_model), georegistration, lenses, 0.0, {}, folder
+    )
 
 
 def compare_with_fixes(model: SparseMap, fixes: Mapping[str, Array]) -> Georegistration:

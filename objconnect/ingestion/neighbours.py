@@ -40,7 +40,7 @@ def choose_pairs(
     xy = np.array([fixes[n][:2] if n in fixes else (np.nan, np.nan) for n in names])
     pairs = set()
     for i, name in enumerate(names):
-        after = options.following
+        following = options.following
         if name in fixes:
             distance = np.linalg.norm(xy - xy[i], axis=1)
             distance[i] = np.nan
@@ -48,9 +48,9 @@ def choose_pairs(
             with_fix = int(np.isfinite(distance).sum())
             pairs |= {(i, int(j)) for j in nearest[: min(options.nearest, with_fix)]}
         else:
-            after = _NEIGHBOURS_IN_TIME
-            pairs |= {(j, i) for j in range(max(i - after, 0), i)}
-        pairs |= {(i, j) for j in range(i + 1, min(i + after + 1, len(names)))}
+            following = _NEIGHBOURS_IN_TIME
+            pairs |= {(j, i) for j in range(max(i - following, 0), i)}
+        pairs |= {(i, j) for j in range(i + 1, min(i + following + 1, len(names)))}
     return [(names[i], names[j]) for i, j in sorted({(min(p), max(p)) for p in pairs})]
 
 

@@ -48,7 +48,7 @@ def write_measurements(
 ) -> dict[str, float]:
     """Write the poses of the model and the measurements of its photographs.
 
-    The sigmas are measured on the photographs of the map.
+    The sigmas are measured on the map photographs, or on the queries if only these have fixes.
 
     Args:
         path: file ``frames.h5`` of a session.
@@ -60,13 +60,13 @@ def write_measurements(
     Returns:
         By file, the error in degrees of each attitude that was not used.
     """
-    model, placed = adjusted.model, adjusted.placed
+    model, georegistration = adjusted.model, adjusted.georegistration
     names = tuple(image.name for image in images)
     poses = np.stack([model.images[name].cam_from_world for name in names])
-    measured = [name for name in names if name in fixes and name not in placed.blunders]
-    mapped = [name for name in measured if name not in queries] or measured
-    spread = rms_of(residuals(model, fixes, mapped)) if mapped else np.zeros(3)
-    sigma = np.clip(spread, MIN_SIGMA_M, NO_ALTITUDE_SIGMA_M)
+    measured = [name for name in names if name in fixes and name not in georegistration.blunders]
+    sample = [name for name in measured if name not in queries] or measured
+    rms = rms_of(residuals(model, fixes, sample)) if sample else np.zeros(3)
+    sigma = np.clip(rms, MIN_SIGMA_M, NO_ALTITUDE_SIGMA_M)
     unknown = np.full(3, np.nan)
     # An unknown altitude becomes the cameras' median height, with a sigma of kilometres.
     without_altitude = find_missing_altitudes({name: fixes[name] for name in measured})
@@ -137,7 +137,8 @@ def write_map(
     with atomic_folder(out / "map", MAP_FILES) as folder:
         root, known_map = out / "sessions", None if known is None else known.sparse_map
         sparse_map, features = triangulate_again(root, images, database, folder, known_map)
-        # The features have a key only if those of the known map have one.
+        # Features of a known map are copied: the file gets a key only if the known map's features
+        # have the key of these photographs and options.
         has_key = known is None or known.features.inputs_digest == _sift_key(
             root, known.sparse_map.names
         )

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from objconnect.scene.errors import InputError
-from objconnect.scene.geo.sea_level import above_ellipsoid
+from objconnect.scene.geo.sea_level import convert_to_ellipsoid
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.maps.photographs import Photograph
 from objconnect.scene.quantities.doubts import summarize_doubts
@@ -72,7 +72,7 @@ class Flight:
     images: tuple[FlightImage, ...]
     left_out: dict[str, str]
 
-    def without(self, reasons: dict[str, str]) -> Flight:
+    def leave_out(self, reasons: dict[str, str]) -> Flight:
         """Return the flight without the files that ``reasons`` names."""
         images = tuple(image for image in self.images if image.file not in reasons)
         return replace(self, images=images, left_out=self.left_out | reasons)
@@ -125,14 +125,14 @@ def read_flight(folder: Path, session: str = SESSION) -> Flight:
                 left_out[file] = f"cannot be read: {error.strerror}"
             advance(done)
     ordered = _sort(images.values())
-    named: dict[str, str] = {}
+    file_of: dict[str, str] = {}
     for image in ordered:
-        if image.name in named:
+        if image.name in file_of:
             raise InputError(
-                f"{folder}: {named[image.name]!r} and {image.file!r} would have one name in the "
+                f"{folder}: {file_of[image.name]!r} and {image.file!r} would have one name in the "
                 "scene: rename one of them"
             )
-        named[image.name] = image.file
+        file_of[image.name] = image.file
     return Flight(tuple(ordered), left_out)
 
 
@@ -154,7 +154,7 @@ def warn_of_doubts(flight: Flight, *, with_lenses: bool) -> None:
 
 
 def _read_image(folder: Path, file: str, digest: str, session: str = SESSION) -> FlightImage:
-    exif, size = above_ellipsoid(read_exif(folder / file)), image_size(folder / file)
+    exif, size = convert_to_ellipsoid(read_exif(folder / file)), image_size(folder / file)
     name = f"{session}/images/{'_'.join(file.split())}"
     return FlightImage(file, name, digest, exif, size)
 
@@ -195,7 +195,7 @@ def copy_photographs(
                 else:
                     resize_file(folder / image.file, target, size, rotate_180=image.name in rotated)
             advance(done)
-    return flight.without(damaged)
+    return flight.leave_out(damaged)
 
 
 def make_photographs(
@@ -218,8 +218,8 @@ def make_photographs(
         focal = image.exif.relative_focal
         if calibration is None:
             width, height = reduce_size(image, longest)
-            likely = image.exif.focals[0] if image.exif.focals else _GUESSED_FOCAL
-            pixels = (focal or likely) * max(width, height)
+            guess = image.exif.focals[0] if image.exif.focals else _GUESSED_FOCAL
+            pixels = (focal or guess) * max(width, height)
             # One distortion coefficient, because more of them bend flat ground into a dome.
             camera = Camera("SIMPLE_RADIAL", width, height, (pixels, width / 2, height / 2, 0.0))
         else:

@@ -37,8 +37,8 @@ def draw(
     Raises:
         InputError: the folder cannot be written.
     """
-    model, blunders = adjusted.model, adjusted.placed.blunders
-    # Imported here: it takes half a second.
+    model, blunders = adjusted.model, adjusted.georegistration.blunders
+    # Matplotlib takes half a second to import, so it is imported only here.
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9, 11), layout="constrained")

@@ -55,11 +55,11 @@ class Plan(BaseModel):
 
     @field_validator("options", mode="before")
     @classmethod
-    def _of_any_version(cls, options: object) -> object:
+    def _read_any_version(cls, options: object) -> object:
         return take_recorded(IngestOptions, options) if isinstance(options, dict) else options
 
 
-def resumable(out: Path, plan: Plan) -> ResumableFolder:
+def open_unfinished(out: Path, plan: Plan) -> ResumableFolder:
     """Return the folder of a scene, which stores the plan while it is unfinished."""
 
     def difference(record: Path) -> str | None:
@@ -72,7 +72,7 @@ def resumable(out: Path, plan: Plan) -> ResumableFolder:
 
 def is_finished(out: Path, plan: Plan) -> bool:
     """Return whether the folder holds the finished scene of a plan; refuse any other content."""
-    unfinished = resumable(out, plan)
+    unfinished = open_unfinished(out, plan)
     if (out / MANIFEST).is_file():
         if read_plan(Scene.open(out).manifest) != plan:
             raise InputError(
@@ -122,11 +122,11 @@ def make_scene(
         manifest: The manifest without digests and georeference, which the report adds.
 
     Raises:
-        InputError: The folder holds something else, or as ``build``.
+        InputError: The folder holds something else, or for the reasons of ``build``.
     """
     if is_finished(out, plan):
         return read_json(out / REPORT, IngestReport, "report of the ingested flight")
-    unfinished = resumable(out, plan)
+    unfinished = open_unfinished(out, plan)
     unfinished.begin()
     try:
         report = build()

@@ -23,7 +23,7 @@ from objconnect.scene.storage.tables import require_commas
 log = logging.getLogger(__name__)
 
 MIN_PHOTOGRAPHS = 3
-"""Least number of photographs of a scene."""
+"""Minimum number of photographs of a scene."""
 # Positions of a receiver that is stuck are nearer to their median than this, metres.
 _EQUAL_M = 0.01
 _COLUMNS = ("name", "lat", "lon", "alt")

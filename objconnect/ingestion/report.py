@@ -22,7 +22,7 @@ REPORT = Path("ingest.json")
 """The report, in the folder of its scene."""
 
 # Maximum number of lines in the text for each kind of reason.
-_SHOWN = 6
+_MAX_LINES = 6
 # A median distance of GPS from the cameras above this (m) gets a remark.
 _FAR_FROM_GPS_M = 30.0
 
@@ -30,7 +30,7 @@ _FAR_FROM_GPS_M = 30.0
 class Residuals(BaseModel):
     """Statistics of the absolute distances between cameras and their fixes, metres.
 
-    The vertical ones count fixes with an altitude; they are None without any.
+    Vertical values cover the fixes with an altitude; they are None if no fix has one.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -42,11 +42,11 @@ class Residuals(BaseModel):
 
     def text(self) -> str:
         """Return the figures as text."""
-        across = f"{self.horizontal_median:.2f} m median, {self.horizontal_rms:.2f} m rms"
+        horizontal = f"{self.horizontal_median:.2f} m median, {self.horizontal_rms:.2f} m rms"
         if self.vertical_median is None or self.vertical_rms is None:
-            return f"horizontal {across}; vertical unknown"
+            return f"horizontal {horizontal}; vertical unknown"
         up = f"{self.vertical_median:.2f} m median, {self.vertical_rms:.2f} m rms"
-        return f"horizontal {across}; vertical {up}"
+        return f"horizontal {horizontal}; vertical {up}"
 
 
 class Lens(BaseModel):
@@ -84,7 +84,7 @@ class IngestReport(BaseModel):
         map_points: number of points of the map, triangulated from the map photographs alone.
         control: ground control points, in the order of their list.
         kept: number of frames of the scene that photographs were added to; 0 without one. Figures
-            of map and queries then count the whole scene, the others the new photographs.
+            of points, map and queries then cover the whole scene, the others the new photographs.
         georeference: accuracy of the scene's position on earth; None if unknown.
     """
 
@@ -172,7 +172,7 @@ def gps_remark(level: str, gps: Residuals | None) -> list[str]:
 
 
 def _list_reasons(what: str, reasons: Mapping[str, str]) -> list[str]:
-    lines = [f"{what}: {name}: {reason}" for name, reason in list(reasons.items())[:_SHOWN]]
+    lines = [f"{what}: {name}: {reason}" for name, reason in list(reasons.items())[:_MAX_LINES]]
     more = len(reasons) - len(lines)
     return [*lines, f"{what}: {more} more, all in ingest.json"] if more > 0 else lines
 
@@ -197,7 +197,7 @@ def summarise(off: NDArray[np.float64]) -> Residuals:
     )
 
 
-def lenses_of(photographs: Sequence[Photograph], adjusted: AdjustedModel) -> tuple[Lens, ...]:
+def describe_lenses(photographs: Sequence[Photograph], adjusted: AdjustedModel) -> tuple[Lens, ...]:
     """Return the cameras of a model by lens, in the order of the photographs."""
     images = adjusted.model.images
     by_lens: dict[str, list[Photograph]] = {}
@@ -209,13 +209,15 @@ def lenses_of(photographs: Sequence[Photograph], adjusted: AdjustedModel) -> tup
             name=lens,
             photographs=len(group),
             camera=str(images[group[0].name].camera),
-            origin=_origin(group[0], images[group[0].name].camera, lens in adjusted.refined.focal),
+            origin=_describe_origin(
+                group[0], images[group[0].name].camera, lens in adjusted.refined.focal
+            ),
         )
         for lens, group in by_lens.items()
     )
 
 
-def _origin(first: Photograph, camera: Camera, refined: bool) -> str:
+def _describe_origin(first: Photograph, camera: Camera, refined: bool) -> str:
     """Describe the source of a camera's parameters, given a photograph before the adjustment."""
     start, focal = first.camera.focal[0], camera.focal[0]
     if first.calibrated:
@@ -230,8 +232,8 @@ def _origin(first: Photograph, camera: Camera, refined: bool) -> str:
         )
     if refined:
         return f"focal length {start:.1f} px of EXIF refined to {focal:.1f} px{principal}"
-    kept = "kept: the ground is too flat to refine it"
-    return f"focal length {focal:.1f} px of EXIF {kept}{principal}"
+    reason = "the ground is too flat to refine it"
+    return f"focal length {focal:.1f} px of EXIF kept: {reason}{principal}"
 
 
 @dataclass(frozen=True)
@@ -269,10 +271,10 @@ def make_report(
         sparse_map: the map, triangulated from the map photographs.
         findings: results of checking gimbals, ground control points and fixes.
     """
-    model, placed = adjusted.model, adjusted.placed
+    model, georegistration = adjusted.model, adjusted.georegistration
     files = {image.name: image.file for image in flight.images}
-    used = [n for n in model.names if n in fixes and n not in placed.blunders]
-    wrong = residuals(model, fixes, placed.blunders)
+    used = [n for n in model.names if n in fixes and n not in georegistration.blunders]
+    wrong = residuals(model, fixes, georegistration.blunders)
     return IngestReport(
         photographs=len(flight.images) + len(flight.left_out),
         left_out=dict(flight.left_out),
@@ -280,12 +282,12 @@ def make_report(
         points=len(model.xyz),
         track_length=float(model.track_length.mean()),
         reprojection_error_px=model.reprojection_error(),
-        lenses=lenses_of(photographs, adjusted),
-        level=placed.level,
+        lenses=describe_lenses(photographs, adjusted),
+        level=georegistration.level,
         fixes=len(used),
         blunders={
             files[name]: float(np.linalg.norm(np.nan_to_num(off)))
-            for name, off in zip(placed.blunders, wrong, strict=True)
+            for name, off in zip(georegistration.blunders, wrong, strict=True)
         },
         wrong_attitudes=dict(findings.wrong_attitudes),
         turned=tuple(findings.rotated),

@@ -32,7 +32,7 @@ def choose_queries(
         every: See ``split``; 2 or more.
 
     Raises:
-        InputError: The flight has fewer lines than ``every``.
+        InputError: The flight has at most ``every // 2`` lines, so none is a query line.
     """
     if split == "none":
         return set()
@@ -54,25 +54,25 @@ def flight_lines(
 ) -> list[int]:
     """Return the number of the flight line of each photograph.
 
-    A line ends where the course turns. A photograph without a fix belongs to the line of the one
-    before it.
+    A line ends where the course turns. A photograph without a fix belongs to the line of the
+    preceding photograph.
     """
     known = [name for name in names if name in fixes]
     course: NDArray[np.float64] | None = None
-    line, of_known = 0, dict.fromkeys(known[:1], 0)
-    for before, name in pairwise(known):
-        step = fixes[name][:2] - fixes[before][:2]
+    line, line_of = 0, dict.fromkeys(known[:1], 0)
+    for previous, name in pairwise(known):
+        step = fixes[name][:2] - fixes[previous][:2]
         length = float(np.linalg.norm(step))
         if length > 0:
             direction = step / length
             if course is not None and course @ direction < np.cos(np.radians(_LINE_TURN_DEG)):
                 line += 1
-                course = None  # the step from line to line is the course of neither
+                course = None  # the step from one line to the next has the course of neither
             else:
                 course = direction
-        of_known[name] = line
+        line_of[name] = line
     numbers, current = [], 0
     for name in names:
-        current = of_known.get(name, current)
+        current = line_of.get(name, current)
         numbers.append(current)
     return numbers

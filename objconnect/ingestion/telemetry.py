@@ -1,19 +1,18 @@
 """Read the telemetry that drones write into the subtitles (SRT) of their videos.
 
-There is no standard. The reader knows these formats, which differ by model and firmware (issues
+There is no standard. The reader supports these formats, which differ by model and firmware (issues
 1741, 1757, 1761 and 1805 of OpenDroneMap/ODM, and the samples of JuanIrache/DJI_SRT_Parser):
 
-- in brackets, ``[latitude: 47.1] [longitude: 8.5] [rel_alt: 60.0 abs_alt: 512.3] [gb_yaw: 10.0
-  gb_pitch: -90.0 gb_roll: 0.0]``, as of Mavic 3, Mini 3 and later ones; Air 2 writes ``altitude``
+- in brackets, by Mavic 3, Mini 3 and later models: ``[latitude: 47.1] [longitude: 8.5] [rel_alt:
+  60.0 abs_alt: 512.3] [gb_yaw: 10.0 gb_pitch: -90.0 gb_roll: 0.0]``; Air 2 writes ``altitude``
   alone, and Mavic 2 ``longtitude``;
-- compact, ``GPS (8.5, 47.1, 17), D 20.1m, H 60.0m, G.PRY (-90.0°, 0.0°, 10.0°)``, as of Mini 2 and
-  Mavic Pro, and ``RTK (...)`` of Phantom 4 RTK;
-- ``GPS(8.5,47.1,17) BAROMETER:60.0`` with ``HOME(...)`` before it, as of Phantom 4;
-  ``GPS(47.1,8.5,0.0M) BAROMETER:60.0M``, as of Matrice 300; ``GPS(47.1,8.5,512.3)
-  BAROMETER(60.0)``, as of Avata 2;
-- ``GPS(E: 8.5, N: 47.1, 512.30m)``, as of Autel EVO: with letters, and an altitude.
+- compact, by Mini 2 and Mavic Pro: ``GPS (8.5, 47.1, 17), D 20.1m, H 60.0m, G.PRY (-90.0°, 0.0°,
+  10.0°)``; Phantom 4 RTK writes ``RTK (...)``;
+- Phantom 4: ``GPS(8.5,47.1,17) BAROMETER:60.0`` with ``HOME(...)`` before it; Matrice 300:
+  ``GPS(47.1,8.5,0.0M) BAROMETER:60.0M``; Avata 2: ``GPS(47.1,8.5,512.3) BAROMETER(60.0)``;
+- Autel EVO, with letters and an altitude: ``GPS(E: 8.5, N: 47.1, 512.30m)``.
 
-Some write the longitude first and others the latitude, and the text does not say which.
+Some models write the longitude first and others the latitude, and the text does not say which.
 Plausibility checks decide the order (``quantities.coordinate_order``), the units of focal lengths
 and zoom (``quantities.film_lens``) and decimal commas (``quantities.decimal_marks``). Values that
 no check decides are unknown, and a warning says so.
@@ -131,8 +130,8 @@ def read_telemetry(
             caption.subtitle.start_s,
             caption.subtitle.end_s,
             place=place,
-            rel_alt=heights.first(caption, _REL_ALTS),
-            abs_alt=heights.above_sea_level(caption),
+            rel_alt=heights.read_first(caption, _REL_ALTS),
+            abs_alt=heights.read_above_sea_level(caption),
             gimbal=gimbal,
             focal_mm=focal_mm,
             time=_parse_time(caption.text),
@@ -218,18 +217,18 @@ class _Heights:
             doubts[f"height {units['']} has no unit"] = None
         return _Heights(marks, not others, tuple(doubts)[:2])
 
-    def first(self, caption: Caption, names: Sequence[str]) -> float | None:
+    def read_first(self, caption: Caption, names: Sequence[str]) -> float | None:
         """Return the first valid height of the named fields, metres."""
         values = (self._metres(caption.fields[name]) for name in names if name in caption.fields)
         return next((value for value in values if value is not None), None)
 
-    def above_sea_level(self, caption: Caption) -> float | None:
+    def read_above_sea_level(self, caption: Caption) -> float | None:
         """Return the altitude above sea level, metres.
 
         It is a field, or the third number of a pair with letters. The third number of other pairs
         counts satellites, or has no known datum.
         """
-        height = self.first(caption, _ABS_ALTS)
+        height = self.read_first(caption, _ABS_ALTS)
         parts = split_tuple(caption.tuples.get("gps", ""))
         if height is not None or len(parts) != 3 or not split_letter(parts[0])[0]:
             return height

@@ -19,7 +19,7 @@ from torch import Tensor
 from objconnect.localization.coarse.grid import GroundGrid
 from objconnect.network.detector import Detections
 from objconnect.scene.geometry.camera import Camera
-from objconnect.scene.geometry.nearest import Nearest
+from objconnect.scene.geometry.nearest import NearestNeighbours
 from objconnect.scene.geometry.pose import Pose
 
 # Least drop of the ray to an object's foot, metres per metre of depth. Objects on flatter rays are
@@ -283,7 +283,7 @@ def _groups(
         return []
     is_used = np.zeros(len(xyz), bool)
     reach = np.maximum(_RADIUS_M, _RADIUS_SHARE * sides)
-    nearest = Nearest(xyz[:, :2])
+    nearest = NearestNeighbours(xyz[:, :2])
     groups = []
     for first in np.argsort(-scores, kind="stable").tolist():
         if is_used[first]:

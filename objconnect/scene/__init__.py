@@ -16,6 +16,7 @@ loads neither pycolmap (but for ``scene.colmap``) nor Ray; opening a scene does 
 - ``storage``: atomic writes, checked reads, digests, photographs, tables.
 - ``runtime``: worker pools, progress, memory, system packages.
 - ``localizer``: queries, priors, estimates and the protocol of a localizer.
+- ``registry``: objects by name, with those that installed packages add.
 - ``config``: configurations from YAML files and the command line.
 - ``errors``: the exceptions whose message a person is meant to read.
 """

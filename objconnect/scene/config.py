@@ -143,18 +143,18 @@ def take_recorded(model: type[BaseModel], values: Mapping[str, Any]) -> dict[str
         >>> take_recorded(Options, {"steps": 9, "decay": 0.1, "loss": {"share": 0.3}})
         {'steps': 9, 'loss_share': 0.3}
     """
-    kept: dict[str, Any] = {}
+    fields: dict[str, Any] = {}
     for key, value in values.items():
         field = model.model_fields.get(key)
         inner = field.annotation if field else None
         if isinstance(inner, type) and issubclass(inner, BaseModel) and isinstance(value, Mapping):
-            kept[key] = take_recorded(inner, value)
+            fields[key] = take_recorded(inner, value)
         elif field is not None:
-            kept[key] = value
+            fields[key] = value
         elif isinstance(value, Mapping):
             prefixed = {f"{key}_{name}": item for name, item in value.items()}
-            kept |= take_recorded(model, {**value, **prefixed})
-    return kept
+            fields |= take_recorded(model, {**value, **prefixed})
+    return fields
 
 
 def _set_nested(values: dict[str, Any], key: str, value: Any) -> None:
@@ -169,7 +169,7 @@ def _set_nested(values: dict[str, Any], key: str, value: Any) -> None:
 
 
 def list_configs() -> dict[str, Path]:
-    """Return the paths of the shipped configurations by name; those of training are ``train/``."""
+    """Return the paths of the shipped configurations by name, such as ``train/pixloc``."""
     return {
         prefix + path.stem: path
         for prefix, folder in SHIPPED_CONFIGS.items()

@@ -34,8 +34,8 @@ class Prior:
         cam_from_world_rotation: attitude, (3, 3); None if unknown.
         attitude_sigma_deg: standard deviation of the attitude, degrees; None if unknown.
         heading_sigma_deg: standard deviation of the heading, degrees; None if it equals
-            ``attitude_sigma_deg``, infinite if a gimbal measures the tilt but no compass the
-            heading.
+            ``attitude_sigma_deg``, infinite if a gimbal measures the tilt but no compass measures
+            the heading.
     """
 
     position: NDArray[np.float64]

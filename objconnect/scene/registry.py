@@ -6,7 +6,7 @@ An installed package adds an entry by an entry point in its ``pyproject.toml``::
     [project.entry-points."objconnect.exports"]
     mine = "my_package.my_format:write"
 
-A built-in entry wins over an entry point of the same name.
+A built-in entry takes precedence over an entry point of the same name.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Lazy:
 
 @lru_cache(maxsize=64)
 def _list_entry_points(group: str, folders: tuple[str, ...]) -> Mapping[str, EntryPoint]:
-    """Return the entry points of a group by name; of two with one name, the first that is found.
+    """Return the entry points of a group by name; if two have one name, the first that is found.
 
     The result is cached, because reading the metadata of all installed packages takes 20 ms, and
     opening a data set needs it. A running process does not see packages that are installed

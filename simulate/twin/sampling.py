@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from objconnect.scene.geo.local_coordinates import LocalProjection, world_from
+from objconnect.scene.geo.local_coordinates import LocalProjection, world_from_coordinates
 from objconnect.scene.geo.rasters import Box, Patch, Raster
 from objconnect.scene.geometry.geodesy import Geodetic
 
@@ -95,7 +95,7 @@ def _reach(raster: Raster, origin: Geodetic) -> Array:
     left, bottom, right, top = raster.grid.box
     corners = [(left, bottom), (right, bottom), (right, top), (left, top)]
     height = origin.altitude
-    corners_m = world_from(
+    corners_m = world_from_coordinates(
         raster.grid.projection, origin, np.array([(*corner, height) for corner in corners])
     )[:, :2]
     side = np.roll(corners_m, -1, axis=0) - corners_m

@@ -55,7 +55,7 @@ def open_benchmark(address: Path) -> Benchmark:
             f"benchmark {str(address)!r} is not on the hub: write hf://OWNER/NAME@COMMIT"
         )
     repository, commit = parse_address(address, "dataset")
-    published = read_index(download(address, "dataset", only=[INDEX]))
+    published = read_index(download(address, "dataset", include=[INDEX]))
     return Benchmark(repository, commit, frozenset(scene.sha256 for scene in published.scenes))
 
 

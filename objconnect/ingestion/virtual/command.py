@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from objconnect.ingestion.virtual.flight import camera_of, lay_grid, list_directions, view_pose
+from objconnect.ingestion.virtual.flight import lay_grid, list_directions, make_camera, view_pose
 from objconnect.ingestion.virtual.options import ViewOptions
 from objconnect.ingestion.virtual.survey import MAX_DEPTH_ALTITUDES, Survey, survey_rasters
 from objconnect.scene.bundle.covisibility import (
@@ -91,7 +91,7 @@ class RecordedHeights(NamedTuple):
     undulation_m: float
 
 
-def recorded_heights(scene: Scene) -> RecordedHeights:
+def read_recorded_heights(scene: Scene) -> RecordedHeights:
     """Return the surface model that ``photograph_orthophoto`` recorded in ``scene.json``.
 
     Raises:
@@ -144,7 +144,7 @@ def photograph_orthophoto(
     world_origin = survey.surface.origin
     collar = [f"{orthophoto.name}: {survey.collar}"] if survey.collar else []
     notes = (*colours.notes(world_origin), *collar, *heights.notes(world_origin, undulation))
-    camera = camera_of(options)
+    camera = make_camera(options)
     views = _plan_views(survey, camera, options)
     if len(views.poses) < _MIN_VIEWS:
         raise InputError(

@@ -22,7 +22,7 @@ _FOV_DEG: Final = 60.0
 _HEADINGS_DEG = (0.0, 90.0, 180.0, 270.0)
 
 
-def camera_of(options: ViewOptions) -> Camera:
+def make_camera(options: ViewOptions) -> Camera:
     """Return the pinhole camera of all views."""
     focal = options.size / 2 / math.tan(math.radians(_FOV_DEG) / 2)
     half = options.size / 2

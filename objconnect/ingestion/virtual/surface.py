@@ -30,7 +30,7 @@ _BISECTIONS = 6
 _CELL = 8
 # Margins of rays beyond the heights of the surface, metres and share of the length.
 _MARGIN_M, _MARGIN_SHARE = 1.0, 0.01
-# Rays that fall less than this per metre of depth are taken to miss the ground.
+# Rays that fall less than this per metre of depth are treated as missing the ground.
 _MIN_FALL = 0.05
 
 
@@ -99,7 +99,7 @@ class Surface:
         undulation: height of the geoid above the ellipsoid, metres, which is added to the heights.
         origin: origin of the world.
         low: lowest height of the surface model including the undulation, metres.
-        high: highest height likewise.
+        high: highest height, also including the undulation, metres.
     """
 
     colours: Raster
@@ -178,8 +178,10 @@ def sample_colours(orthophoto: Raster, origin: Geodetic, points: Array, pixel: f
     """
     local, box = _fit_projection(orthophoto, origin, points)
     image = _Image(orthophoto.patch(box, pixel))
-    at = local.coordinates(points)
-    x, y = (torch.from_numpy(z).float() for z in image.normalise(at[:, 0], at[:, 1]))
+    coordinates = local.coordinates(points)
+    x, y = (
+        torch.from_numpy(z).float() for z in image.normalise(coordinates[:, 0], coordinates[:, 1])
+    )
     sampled = image.sample(x, y, "bicubic").numpy().T
     return np.array(np.broadcast_to(sampled, (len(points), 3)), np.float64)
 
@@ -188,8 +190,8 @@ def _fit_projection(raster: Raster, origin: Geodetic, points: Array) -> tuple[Lo
     """Return the projection to a raster around points (N, 3), and their bounding box there."""
     low, high = points.min(0) - _MARGIN_M, points.max(0) + _MARGIN_M
     local = LocalProjection.fit(raster.grid.projection, origin, low, high)
-    at = local.coordinates(points)
-    (left, bottom, _), (right, top, _) = at.min(0).tolist(), at.max(0).tolist()
+    coordinates = local.coordinates(points)
+    (left, bottom, _), (right, top, _) = coordinates.min(0).tolist(), coordinates.max(0).tolist()
     return local, Box(left, bottom, right, top)
 
 
@@ -224,9 +226,9 @@ class _Image:
 
 
 def _sample(values: Tensor, x: Tensor, y: Tensor, mode: str) -> Tensor:
-    at = torch.stack([x, y], -1)[None, None]
+    grid = torch.stack([x, y], -1)[None, None]
     sampled: Tensor = torch.nn.functional.grid_sample(
-        values, at, mode=mode, padding_mode="border", align_corners=False
+        values, grid, mode=mode, padding_mode="border", align_corners=False
     )
     return sampled[0, :, 0]
 
@@ -244,7 +246,7 @@ class _Parabolas(NamedTuple):
     @staticmethod
     def of(rays: _Rays, local: LocalProjection, image: _Image, zero: float) -> _Parabolas:
         """Convert rays to parabolas."""
-        a, b, c = local.along(rays.start, rays.directions)
+        a, b, c = local.expand_rays(rays.start, rays.directions)
         # Normalised coordinates are linear in east and north.
         x, y = image.normalise(np.array([0.0, 1.0]), np.array([0.0, 1.0]))
         scale = np.array([x[1] - x[0], y[1] - y[0], 1.0])
@@ -257,7 +259,7 @@ class _Parabolas(NamedTuple):
         """Return the selected parabolas."""
         return _Parabolas(*(part[:, which] for part in self))
 
-    def at(self, depth: Tensor) -> Tensor:
+    def evaluate(self, depth: Tensor) -> Tensor:
         """Return x, y and height at depths (N,), (3, N)."""
         return self.constant + depth * (self.linear + depth * self.quadratic)
 
@@ -273,9 +275,9 @@ def _march(rays: _Rays, local: LocalProjection, patch: Patch, undulation: float)
     image.values -= zero - undulation
     parabolas = _Parabolas.of(rays, local, image, zero).select(torch.from_numpy(which))
     first, last = (torch.from_numpy(d[which].astype(np.float32)) for d in (rays.first, rays.last))
-    across = torch.from_numpy(np.linalg.norm(rays.directions[which, :2], axis=1)).float()
+    horizontal = torch.from_numpy(np.linalg.norm(rays.directions[which, :2], axis=1)).float()
     # Depth (m) over which a ray crosses a pixel, bounded for steep rays.
-    step = min(patch.grid.ground_pixel) / across.clamp_min(0.2)
+    step = min(patch.grid.ground_pixel) / horizontal.clamp_min(0.2)
     first = _skip_free_space(parabolas, image.ceiling(), first, last, step)
     shallow, deep = _bracket_entry(parabolas, image, first, last, step)
     hit = torch.nonzero(deep > 0)[:, 0]
@@ -288,8 +290,9 @@ def _march(rays: _Rays, local: LocalProjection, patch: Patch, undulation: float)
 
 def _clearance(parabolas: _Parabolas, image: _Image, depth: Tensor) -> Tensor:
     """Return the height of rays above the surface at a depth, (N,) metres."""
-    at = parabolas.at(depth)
-    return at[2] - image.sample(at[0], at[1])[0]
+    x, y, height = parabolas.evaluate(depth)
+    clearance: Tensor = height - image.sample(x, y)[0]
+    return clearance
 
 
 def _skip_free_space(
@@ -304,8 +307,8 @@ def _skip_free_space(
     active = torch.nonzero(depth < last)[:, 0]
     while len(active):
         active_parabolas = parabolas.select(active)
-        x, y, _ = active_parabolas.at(depth[active])
-        below = active_parabolas.at(depth[active] + stride[active])[2]
+        x, y, _ = active_parabolas.evaluate(depth[active])
+        below = active_parabolas.evaluate(depth[active] + stride[active])[2]
         free = below > _sample(ceiling, x, y, "nearest")[0]
         active = active[free]
         depth[active] += stride[active]
@@ -320,15 +323,16 @@ def _bracket_entry(
     shallow, deep = torch.zeros_like(first), torch.zeros_like(first)
     active = torch.nonzero(first < last)[:, 0]
     active_parabolas, depth = parabolas.select(active), first[active]
-    before = torch.full_like(depth, math.nan)
+    last_clear = torch.full_like(depth, math.nan)
     while len(active):
         clear = _clearance(active_parabolas, image, depth)
-        entered = (clear <= 0) & (before > 0)
+        entered = (clear <= 0) & (last_clear > 0)
         entering = active[entered]
         deep[entering], shallow[entering] = depth[entered], (depth - step[active])[entered]
-        kept = ~(clear <= 0) & (depth < last[active])
-        active, before, active_parabolas = active[kept], clear[kept], active_parabolas.select(kept)
-        depth = depth[kept] + step[active]
+        stays = ~(clear <= 0) & (depth < last[active])
+        active, last_clear = active[stays], clear[stays]
+        active_parabolas = active_parabolas.select(stays)
+        depth = depth[stays] + step[active]
     return shallow, deep
 
 

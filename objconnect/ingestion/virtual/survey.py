@@ -9,11 +9,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from objconnect.ingestion.virtual.flight import camera_of
+from objconnect.ingestion.virtual.flight import make_camera
 from objconnect.ingestion.virtual.options import ViewOptions
 from objconnect.ingestion.virtual.surface import Surface
 from objconnect.scene.errors import InputError
-from objconnect.scene.geo.local_coordinates import move_to_height, world_from
+from objconnect.scene.geo.local_coordinates import move_to_height, world_from_coordinates
 from objconnect.scene.geo.rasters import Grid, Patch, Raster
 from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu
 from objconnect.scene.quantities.collars import describe_collar
@@ -62,9 +62,9 @@ class Survey:
             slice(max(0, int(c) - _GROUND_CELLS), max(0, int(c) + _GROUND_CELLS + 1))
             for c in (y[0], x[0])
         )
-        around = self.ground.values[0, rows, columns]
-        around = around[np.isfinite(around)]
-        heights = around if around.size else self.ground.values[np.isfinite(self.ground.values)]
+        window = self.ground.values[0, rows, columns]
+        window = window[np.isfinite(window)]
+        heights = window if window.size else self.ground.values[np.isfinite(self.ground.values)]
         point[2] = float(heights.mean()) + self.altitude - coordinates[2]
         return point
 
@@ -96,7 +96,7 @@ def survey_rasters(
         raise InputError(
             f"surface model {heights.path} has no height: all its pixels are no data, give another"
         )
-    altitude = options.altitude or max(colours.grid.ground_pixel) * camera_of(options).focal[0]
+    altitude = options.altitude or max(colours.grid.ground_pixel) * make_camera(options).focal[0]
     ground = heights.patch(heights.grid.box, altitude / 4)
     ground = replace(ground, values=ground.values + np.float32(undulation))
     if origin is None:
@@ -136,5 +136,5 @@ def ground_ends(grid: Grid, origin: Geodetic, height: float) -> tuple[Array, Arr
     """Return the lower and upper corner, (2,) each, of a grid's bounding box in the world."""
     left, bottom, right, top = grid.box
     corners = [(e, n, height) for e in (left, right) for n in (bottom, top)]
-    world = world_from(grid.projection, origin, np.array(corners))[:, :2]
+    world = world_from_coordinates(grid.projection, origin, np.array(corners))[:, :2]
     return world.min(0), world.max(0)

@@ -60,7 +60,7 @@ from objconnect.scene.localizer import By, Estimate, MapPart, Query, Status, Sto
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.memory import resident_bytes
 from objconnect.scene.runtime.progress import progress_within
-from objconnect.scene.runtime.tuning import freeze_objects, return_freed_above, trim_heap
+from objconnect.scene.runtime.tuning import freeze_objects, trim_heap, trim_heap_above
 from objconnect.scene.storage.digests import sha256
 from objconnect.scene.storage.lru_cache import MEGABYTE
 
@@ -239,7 +239,7 @@ class FeaturemetricLocalizer:
         clock = Stopwatch()
         if (tracked := self._track(query, clock)) is not None:
             return tracked
-        return_freed_above(self._trim_above_bytes)
+        trim_heap_above(self._trim_above_bytes)
         if self._needs_search(query) and (found := self._search(query, clock)) is not None:
             return found
         refine = self._preparation.prepare_for_query(clock).refine

@@ -27,7 +27,7 @@ from objconnect.localization.matching.retrieval import References
 from objconnect.localization.matching.structure import StructureLocalizer
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Query, Stopwatch
-from objconnect.scene.runtime.tuning import return_freed_above
+from objconnect.scene.runtime.tuning import trim_heap_above
 
 # Number of levels, from the coarsest, on which hypotheses are compared. The finest level is left
 # out because it takes most of the time.
@@ -76,7 +76,7 @@ class Refiner:
             clock: sums the seconds of each stage.
             radius: search radius around the start, for ``config.multistart``.
         """
-        return_freed_above(self.kept_bytes)
+        trim_heap_above(self.kept_bytes)
         with clock.stage("features"):
             view, maps = self.problems.view(query, chosen, start)
         multistart = self.config.multistart
@@ -138,7 +138,7 @@ class Refiner:
         chosen = self.photographs(replace(query, prior=exact_prior(pose)))
         larger = self.problems.magnify(query, chosen, pose, view, most)
         if larger is not None:
-            return_freed_above(self.kept_magnified_bytes)
+            trim_heap_above(self.kept_magnified_bytes)
             with clock.stage("features"):
                 view, maps = larger, self.problems.features(larger)
         with clock.stage("alignment"):

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objconnect.scene.errors import InputError
-from objconnect.scene.geometry.nearest import Nearest
+from objconnect.scene.geometry.nearest import NearestNeighbours
 from objconnect.scene.geometry.views import rotate_north_up
 from objconnect.scene.localizer import Prior, Query
 from objconnect.scene.maps.sparse_map import SparseMap
@@ -177,7 +177,7 @@ class Viewpoints:
 
     def __init__(self, sparse_map: SparseMap) -> None:
         self._map = sparse_map
-        self._nearest = Nearest(sparse_map.centres[:, :2])
+        self._nearest = NearestNeighbours(sparse_map.centres[:, :2])
         poses = (sparse_map.images[name].cam_from_world for name in sparse_map.names)
         self._rotations_north_up = np.array(
             [rotate_north_up(pose[:3, :3]) for pose in poses]

@@ -22,7 +22,7 @@ from objconnect.localization.pipeline.localization_map import LocalizationMap
 from objconnect.localization.pipeline.options import LocalizeOptions
 from objconnect.localization.pipeline.query_image import QueryImage
 from objconnect.scene.errors import InputError
-from objconnect.scene.geo.sea_level import above_ellipsoid
+from objconnect.scene.geo.sea_level import convert_to_ellipsoid
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic
 from objconnect.scene.localizer import Estimate, Prior, Query
@@ -93,7 +93,7 @@ class PhotographReader:
             InputError: the photograph cannot be read.
         """
         if path not in self.metadata:
-            self.metadata[path] = above_ellipsoid(read_exif(path), self.undulation_m)
+            self.metadata[path] = convert_to_ellipsoid(read_exif(path), self.undulation_m)
         return self.metadata[path]
 
     def calibration(self, exif: Exif, size: tuple[int, int]) -> Calibration:

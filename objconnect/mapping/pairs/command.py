@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from objconnect.ingestion.virtual.command import SESSION, VirtualReport, photograph_orthophoto
-from objconnect.ingestion.virtual.flight import camera_of
+from objconnect.ingestion.virtual.flight import make_camera
 from objconnect.ingestion.virtual.options import ViewOptions
 from objconnect.ingestion.virtual.survey import Survey, ground_ends, survey_rasters
 from objconnect.mapping.build import build_map
@@ -252,7 +252,7 @@ def _survey_pair(
 
 def _require_large(orthophoto: Raster, survey: Survey) -> None:
     """Refuse an orthophoto that is too small for the photographs of a map."""
-    camera = camera_of(ViewOptions())
+    camera = make_camera(ViewOptions())
     needed = _MIN_SIDE * survey.altitude * camera.width / camera.focal[0]
     east, north = (survey.high - survey.low).tolist()
     if min(east, north) < needed:

@@ -65,7 +65,7 @@ def supplement(
     scene = Scene.open(path)
     scene.check_readable()
     sparse_map = scene.sparse_map()
-    before = sparse_map.without(scene.is_added_point(sparse_map))
+    before = sparse_map.drop_points(scene.is_added_point(sparse_map))
     network = None if weights is None else read_network(weights)[0]
     labels = None if masks is None else dict(read_masks(masks, before.names))
     config = SupplementConfig()

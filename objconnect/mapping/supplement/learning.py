@@ -68,7 +68,7 @@ def read_training_data(path: Path) -> TrainingData:
     """
     scene = Scene.open(path)
     sparse_map = scene.sparse_map()
-    sparse_map = sparse_map.without(scene.is_added_point(sparse_map))
+    sparse_map = sparse_map.drop_points(scene.is_added_point(sparse_map))
     proposals = propose_points(sparse_map, scene.images_root, SupplementConfig())
     truth = read_truth(scene, _to_map(proposals))
     before = read_truth(scene, sparse_map)

@@ -5,6 +5,7 @@
 - ``frames``: ``frames.h5``, the poses, cameras, priors and dense annotations of one session.
 - ``covisibility``: ``covisibility.h5``, which frames see the same surface.
 - ``georeference``: the absolute accuracy of a map.
+- ``thermal``: thermal pictures, which have the poses of the photographs.
 - ``held_out``: the conditions, sites and cameras that tracks reserve for tests.
 - ``supplement``: ``supplement.json``, the points that were added to a map after it was built.
 - ``object_points``: which object each point of the map lies on.

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     import torch
 
 MIN_SHARED_SURFACE = 0.1
-"""Two frames are covisible when each sees at least this share of the other's surface."""
+"""Two frames are covisible if each sees at least this share of the other's surface."""
 
-# A point is hidden when it is deeper than the depth image by more than this share of the depth. A
+# A point is hidden if it is deeper than the depth image by more than this share of the depth. A
 # smaller difference can come from the slope of the surface within the pixel.
 _DEPTH_TOLERANCE = 0.01
 
@@ -54,7 +54,7 @@ class Covisibility:
         row = {name: k for k, name in enumerate(self.names)}
         missing = [name for name in names if name not in row]
         if missing:
-            raise InputError(f"the covisibility of the scene does not know frame {missing[0]}")
+            raise InputError(f"the covisibility of the scene lacks frame {missing[0]}")
         rows = [row[name] for name in names]
         return Covisibility(tuple(names), self.overlap[np.ix_(rows, rows)])
 
@@ -174,13 +174,13 @@ def visible_share(
     import torch
 
     world = torch.from_numpy(points)
-    finite = torch.isfinite(world).all(-1).sum(-1).clamp_min(1)
+    counts = torch.isfinite(world).all(-1).sum(-1).clamp_min(1)
     shares = np.zeros((len(cameras), len(cameras)))
     images = iter(depths) if depths is not None else None
     for j, (camera, pose) in enumerate(zip(cameras, cam_from_world, strict=True)):
         depth = next(images) if images is not None else None
         seen = visible_points(camera, pose, world, depth)
-        shares[:, j] = (seen.sum(-1) / finite).numpy()
+        shares[:, j] = (seen.sum(-1) / counts).numpy()
     np.fill_diagonal(shares, 0)
     return shares
 

@@ -90,7 +90,11 @@ FRAME_SHAPES: Final[Mapping[str, tuple[int, ...]]] = {
 }
 """The shape per frame of each array of ``Frames``."""
 # Groups of arrays that are measured together or not at all.
-_MEASURED = (("time",), ("gps_prior", "gps_sigma"), ("attitude_prior", "attitude_sigma_deg"))
+_GROUPS = (
+    ("time",),
+    ("gps_prior", "gps_sigma"),
+    ("attitude_prior", "attitude_sigma_deg"),
+)
 
 
 class DenseLayers:
@@ -239,15 +243,14 @@ def check_arrays(
         if values.shape != expected:
             raise InputError(f"{path}: {key} has shape {values.shape}, expected {expected}")
     absent = {key: np.zeros(len(names), bool) for key in arrays}
-    for group in _MEASURED:
+    for group in _GROUPS:
         unknown = [np.isnan(arrays[k]).all(tuple(range(1, arrays[k].ndim))) for k in group]
         absent |= dict.fromkeys(group, np.logical_and.reduce(unknown))
     for key, values in arrays.items():
         finite = np.isfinite(values).all(tuple(range(1, values.ndim))) | absent[key]
         if not finite.all():
             raise InputError(f"{path}: {key} of frame {names[int(finite.argmin())]} is not finite")
-        near = (np.abs(values) <= FARTHEST_M).all(tuple(range(1, values.ndim))) | absent[key]
-        if key != "time" and not near.all():
-            raise InputError(
-                f"{path}: {key} of frame {names[int(near.argmin())]} is larger than {FARTHEST_M:g}"
-            )
+        is_small = (np.abs(values) <= FARTHEST_M).all(tuple(range(1, values.ndim))) | absent[key]
+        if key != "time" and not is_small.all():
+            frame = names[int(is_small.argmin())]
+            raise InputError(f"{path}: {key} of frame {frame} is larger than {FARTHEST_M:g}")

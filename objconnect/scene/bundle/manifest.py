@@ -84,7 +84,7 @@ class Session(Record):
         role: whether the frames build the map, are queries, or both.
         change: how the objects differ from those of the scene's seed.
         readout_s: seconds between the readout of the top and the bottom row of an image; not zero
-            for a rolling shutter. Poses are then those of the middle row, the velocity is the
+            for a rolling shutter. A pose then belongs to the middle row, the velocity is the
             central difference of the positions, and each row of depth and the other layers belongs
             to the pose of that row.
         thermal: how thermal pictures of the same poses are coded; None without such pictures.
@@ -116,9 +116,10 @@ class Manifest(Record):
         config: all other options of the scene.
         origin: geodetic coordinates of the world's origin.
         reference: source of the frames' poses: "exact" for rendered frames; "sfm" for structure
-            from motion of all photographs together, accurate to centimetres at best.
-        georeference: absolute accuracy of the origin, as ``ingest`` measured it; None if the file
-            has no such key. See ``effective_georeference``.
+            from motion of all photographs together, by ``ingest`` or by the program whose poses it
+            imported, accurate to centimetres at best.
+        georeference: absolute accuracy of the origin, as ``ingest`` measured or the user stated it;
+            None if the file has no such key. See ``effective_georeference``.
         sessions: sessions by folder name.
         sha256: digest of every other file of the scene, by relative path.
         pixels_sha256: digests of the decoded "image" and of each layer, by image name. They compare

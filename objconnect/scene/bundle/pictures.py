@@ -59,11 +59,11 @@ def _contact_sheet(scene: Scene) -> Figure:
         for k, index in enumerate(chosen):
             photograph, planar, objects = row[3 * k : 3 * k + 3]
             photograph.imshow(read_rgb(scene.images_root / frames.names[index]))
-            shown = planar.imshow(
+            depth_image = planar.imshow(
                 np.where(depth[k] > 0, depth[k], np.nan), vmin=low, vmax=high, cmap="viridis"
             )
             objects.imshow(_colour(instance[k]))
-        figure.colorbar(shown, ax=list(row), label="depth (m)", shrink=0.9, aspect=15)
+        figure.colorbar(depth_image, ax=list(row), label="depth (m)", shrink=0.9, aspect=15)
     return figure
 
 
@@ -115,7 +115,7 @@ def _flight_map(scene: Scene) -> Figure:
         # The image's up direction (-y) gives a heading even for a camera that looks straight down.
         image_up = -rotation[:, 1, :2]
         ax.quiver(*centres[:, :2].T, *image_up.T, color=colour, width=0.003, scale=30, zorder=3)
-    # Half of the side of the place, with a margin.
+    # Half of the side of the site, with a margin.
     half_width = 0.62 * float(scene.manifest.config["area"])
     ax.set(xlim=(-half_width, half_width), ylim=(-half_width, half_width), aspect="equal")
     ax.set_xlabel("east (m)")

@@ -80,7 +80,7 @@ OUR_CONVENTION = Convention("")
 POSE_CONVENTIONS = (
     Convention("poses are inverted: world_from_cam where cam_from_world is expected", _invert),
     Convention(
-        "rotations are transposed: those of world_from_cam beside translations of cam_from_world",
+        "rotations are transposed: world_from_cam's, with translations of cam_from_world",
         _transpose,
     ),
     Convention("translations are camera centres, expected t = -R C", _from_centre_to_translation),

@@ -72,7 +72,7 @@ class Agreement:
 
     @property
     def inlier_mean(self) -> float:
-        """Return the mean of the residuals under one pixel; larger ones are of other surfaces."""
+        """Return the mean residual under one pixel; larger ones come from other surfaces."""
         close = self.residuals[self.residuals < _AGREEMENT_PX]
         return float(close.mean()) if len(close) else float("inf")
 
@@ -165,8 +165,8 @@ def measure(frames: DepthFrames, convention: Convention) -> Agreement:
         xy = xy[visible]
         z, same = _sample(depth[j], frames.instance[j], xy)
         same &= frames.instance[i][rows, columns][visible] == _nearest(frames.instance[j], xy)
-        back, _ = _project(cameras[i], poses[i], _lift(cameras[j], poses[j], xy[same], z[same]))
-        residuals.append(np.linalg.norm(back - start[visible][same], axis=1))
+        returned, _ = _project(cameras[i], poses[i], _lift(cameras[j], poses[j], xy[same], z[same]))
+        residuals.append(np.linalg.norm(returned - start[visible][same], axis=1))
     all_residuals = np.concatenate(residuals)
     return Agreement(all_residuals, len(all_residuals) / max(tried, 1))
 

@@ -47,7 +47,7 @@ def check_map(sparse_map: SparseMap) -> Check:
 
 
 def _median_residual(sparse_map: SparseMap, convention: Convention) -> float:
-    """Return the median reprojection error (px); points behind a camera count as infinite."""
+    """Return the median reprojection error (px), with infinite errors behind a camera."""
     poses = convention.poses(np.stack([i.cam_from_world for i in sparse_map.images.values()]))
     converted = replace(
         sparse_map,
@@ -70,9 +70,9 @@ def _median_residual(sparse_map: SparseMap, convention: Convention) -> float:
 def check_principal_points(sparse_map: SparseMap, cameras: Sequence[Camera]) -> Check:
     """Check that query cameras and map cameras of one size count pixels from the same origin."""
     name = "query cameras count pixels as the map's do"
-    mapped = {image.camera for image in sparse_map.images.values()}
+    map_cameras = {image.camera for image in sparse_map.images.values()}
     for camera in dict.fromkeys(cameras):
-        for other in mapped:
+        for other in map_cameras:
             if (camera.width, camera.height) != (other.width, other.height):
                 continue
             offset = np.subtract(other.principal, camera.principal)

@@ -90,8 +90,8 @@ def _rigidity_error(frames: Frames) -> float:
     rotation = frames.cam_from_world[:, :3, :3]
     gram = rotation @ rotation.transpose(0, 2, 1) - np.eye(3)
     last = frames.cam_from_world[:, 3] - np.array([0, 0, 0, 1])
-    handed = np.linalg.det(rotation) - 1
-    return float(max(np.abs(gram).max(), np.abs(last).max(), np.abs(handed).max()))
+    determinant = np.linalg.det(rotation) - 1
+    return float(max(np.abs(gram).max(), np.abs(last).max(), np.abs(determinant).max()))
 
 
 def _check_rigid(session: str, frames: Frames) -> Check:

@@ -99,9 +99,9 @@ def estimate_absolute_pose(
     sigma = None
     if prior is not None and prior.position_sigma is not None:
         sigma = np.clip(prior.position_sigma, _LEAST_SIGMA, _LARGEST_SIGMA)
-        unaided_covariance = _pose_covariance(matches, pose, variance, None)
-        if unaided_covariance is not None and _contradicts(
-            pose, unaided_covariance, prior.position, sigma
+        covariance_of_matches = _pose_covariance(matches, pose, variance, None)
+        if covariance_of_matches is not None and _contradicts(
+            pose, covariance_of_matches, prior.position, sigma
         ):
             sigma = None
     if prior is not None and sigma is not None:

@@ -48,7 +48,8 @@ def extend_model(
 ) -> tuple[pycolmap.Reconstruction, dict[str, int]]:
     """Make a model of posed images and of photographs without a pose.
 
-    A calibrated photograph shares an equal camera of a posed image; others share a camera by lens.
+    Calibrated photographs and posed images with equal calibrations share one camera. Other
+    photographs share one camera per lens.
 
     Args:
         images: posed images; identifiers are those of ``make_model``.
@@ -109,12 +110,12 @@ def write_with_poses(images: Sequence[PosedImage], sparse_map: SparseMap | None,
             neither.
         out: existing folder for the model.
     """
-    mapped = sparse_map.images if sparse_map is not None else {}
+    map_images = sparse_map.images if sparse_map is not None else {}
     empty = np.zeros((0, 2))
-    keypoints = {i.name: mapped[i.name].xy if i.name in mapped else empty for i in images}
+    keypoints = {i.name: map_images[i.name].xy if i.name in map_images else empty for i in images}
     model, ids = make_model(images, keypoints)
     if sparse_map is not None:
-        add_map_points(model, {n: k for n, k in ids.items() if n in mapped}, sparse_map)
+        add_map_points(model, {n: k for n, k in ids.items() if n in map_images}, sparse_map)
         model.update_point_3d_errors()
     write_model(model, out)
 

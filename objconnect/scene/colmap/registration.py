@@ -125,9 +125,9 @@ def register_photographs(
             database, root, folder, pipeline, input_path=start, next_image_callback=on_image
         )
         # COLMAP returns no model if it registers no photograph.
-        grown = max(models.values(), key=lambda m: m.num_reg_images(), default=None)
-        if grown is None:
-            grown = pycolmap.Reconstruction(start)
-        adjust_robustly(grown, {image.name for image in known.images})
-        write_model(grown, out)
+        largest = max(models.values(), key=lambda m: m.num_reg_images(), default=None)
+        if largest is None:
+            largest = pycolmap.Reconstruction(start)
+        adjust_robustly(largest, {image.name for image in known.images})
+        write_model(largest, out)
     return read_model(out)

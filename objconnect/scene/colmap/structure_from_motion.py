@@ -26,7 +26,7 @@ from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.storage.scratch import scratch
 
 ADJUSTMENTS = 4
-"""Number of rounds of robust adjustment at the end of ``reconstruct``."""
+"""Number of rounds of ``adjust_robustly``."""
 
 MIN_ALIGNED_CENTRES = 3
 """Smallest number of camera centres for a similarity transform."""
@@ -47,10 +47,10 @@ def reconstruct(
     similarity transform. Images that could not be registered are missing from the map.
 
     Args:
-        job: photographs with the poses to align to.
+        job: photographs; the map is aligned to the camera centres of their poses.
         out: existing folder for the model.
-        on_progress: called with the number of images and pairs done, then of images registered,
-            then of adjustments.
+        on_progress: called with the number of steps done: images extracted and pairs matched, then
+            images registered, then rounds of adjustment.
 
     Returns:
         The map as written, and the features it was built from by image name.

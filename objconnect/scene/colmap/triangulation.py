@@ -126,10 +126,10 @@ def _triangulate_added(model: pycolmap.Reconstruction, database: Path, added: se
         graph = pycolmap.DatabaseCache.create(db, cache_options).correspondence_graph
     manager = pycolmap.ObservationManager(model, graph)
     triangulator = pycolmap.IncrementalTriangulator(graph, model, manager)
-    before = {point_id: point.xyz.copy() for point_id, point in model.points3D.items()}
+    original_xyz = {point_id: point.xyz.copy() for point_id, point in model.points3D.items()}
     for image_id in sorted(added):
         triangulator.triangulate_image(options.triangulation, image_id)
-    touched = _find_observed_ids(model, added)
+    ever_observed = _find_observed_ids(model, added)
     for _ in range(options.ba_global_max_refinements):
         changed = triangulator.complete_tracks(
             options.triangulation, _find_observed_ids(model, added)
@@ -140,7 +140,7 @@ def _triangulate_added(model: pycolmap.Reconstruction, database: Path, added: se
         observed = _find_observed_ids(model, added)
         if not observed:
             break
-        touched |= observed
+        ever_observed |= observed
         _adjust_points(model, observed)
         changed += manager.filter_points3D(
             options.mapper.filter_max_reproj_error, options.mapper.filter_min_tri_angle, observed
@@ -148,9 +148,9 @@ def _triangulate_added(model: pycolmap.Reconstruction, database: Path, added: se
         if changed <= options.ba_global_max_refinement_change * len(observed):
             break
     # Restore points whose observations by added images were all filtered.
-    for point_id in (touched - _find_observed_ids(model, added)) & before.keys():
+    for point_id in (ever_observed - _find_observed_ids(model, added)) & original_xyz.keys():
         if model.exists_point3D(point_id):
-            model.point3D(point_id).xyz = before[point_id]
+            model.point3D(point_id).xyz = original_xyz[point_id]
 
 
 def _find_observed_ids(model: pycolmap.Reconstruction, images: set[int]) -> set[int]:

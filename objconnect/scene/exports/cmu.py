@@ -68,7 +68,7 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
         InputError: the scene has no surroundings or no map, its photographs are not of two cameras
             that OPENCV can describe, or a slice would have queries without a map.
     """
-    cameras = _two_cameras(sessions)
+    cameras = _name_cameras(sessions)
     slices: dict[str, list[_Photograph]] = {name: [] for name in FIRST_SLICES}
     for part, photograph in _photographs(scene, sessions, cameras):
         if part not in slices:
@@ -93,7 +93,7 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
             _write_slice(scene, sparse_map, FIRST_SLICES[part], photographs, folder)
 
 
-def _two_cameras(sessions: Mapping[str, Frames]) -> dict[Camera, str]:
+def _name_cameras(sessions: Mapping[str, Frames]) -> dict[Camera, str]:
     """Return the name of each camera, in the order of the sessions."""
     cameras = list(dict.fromkeys(c for frames in sessions.values() for c in frames.cameras))
     if len(cameras) != len(CAMERAS):
@@ -107,10 +107,10 @@ def _two_cameras(sessions: Mapping[str, Frames]) -> dict[Camera, str]:
 
 
 def _convert_to_opencv(camera: Camera) -> Camera:
-    """Return the equal camera of the model OPENCV.
+    """Convert a camera to the model OPENCV.
 
     Raises:
-        InputError: the lens has more coefficients.
+        InputError: the lens has coefficients that OPENCV lacks.
     """
     distortion = coefficients(camera, ("k1", "k2", "p1", "p2"), "a tree of OPENCV cameras")
     params = (*camera.focal, *camera.principal, *distortion.values())
@@ -121,7 +121,7 @@ def _photographs(
     scene: Scene, sessions: Mapping[str, Frames], cameras: Mapping[Camera, str]
 ) -> Iterator[tuple[str | None, _Photograph]]:
     """Yield the surroundings and the photograph of every frame, numbered from 1."""
-    mapped = set(scene.splits.map)
+    map_names = set(scene.splits.map)
     number = 0
     for frames in sessions.values():
         parts = scene.objects.surroundings_at(frames.poses.centre().numpy())
@@ -132,7 +132,7 @@ def _photographs(
             source = frames.names[k]
             pose = frames.cam_from_world[k]
             opencv = _convert_to_opencv(camera)
-            yield part, _Photograph(source, name, source in mapped, opencv, pose)
+            yield part, _Photograph(source, name, source in map_names, opencv, pose)
 
 
 def _write_slice(
@@ -170,14 +170,14 @@ def _submap(scene_map: SparseMap, references: list[_Photograph]) -> SparseMap:
 
     It holds the points that at least two of them observe.
     """
-    mapped = [p for p in references if p.source in scene_map.images]
+    map_photographs = [p for p in references if p.source in scene_map.images]
     observations = np.zeros(len(scene_map.xyz), np.int64)
-    for photograph in mapped:
+    for photograph in map_photographs:
         rows = scene_map.images[photograph.source].point_rows
         observations += np.bincount(rows[rows >= 0], minlength=len(observations))
-    kept = np.flatnonzero(observations >= 2)
-    row_of = np.full(len(observations) + 1, -1)  # the last entry maps -1, no point, to itself
-    row_of[kept] = np.arange(len(kept))
+    rows_to_export = np.flatnonzero(observations >= 2)
+    row_of = np.full(len(observations) + 1, -1)  # the last entry maps -1 (no point) to itself
+    row_of[rows_to_export] = np.arange(len(rows_to_export))
 
     def rename(photograph: _Photograph) -> MapImage:
         image = scene_map.images[photograph.source]
@@ -189,9 +189,9 @@ def _submap(scene_map: SparseMap, references: list[_Photograph]) -> SparseMap:
         )
 
     return SparseMap(
-        images={str(p.name): rename(p) for p in mapped},
-        xyz=scene_map.xyz[kept],
-        rgb=scene_map.rgb[kept],
-        error=scene_map.error[kept],
-        track_length=observations[kept],
+        images={str(p.name): rename(p) for p in map_photographs},
+        xyz=scene_map.xyz[rows_to_export],
+        rgb=scene_map.rgb[rows_to_export],
+        error=scene_map.error[rows_to_export],
+        track_length=observations[rows_to_export],
     )

@@ -62,15 +62,17 @@ def depth_views(scene: Scene, sessions: Mapping[str, Frames]) -> list[DepthView]
     Raises:
         InputError: there is no depth, or the results of ``dense`` are damaged.
     """
-    mapped = set(scene.splits.map)
-    any_mapped = any(name in mapped for frames in sessions.values() for name in frames.names)
+    map_names = set(scene.splits.map)
+    has_map_photographs = any(
+        name in map_names for frames in sessions.values() for name in frames.names
+    )
     views = []
     for session, frames in sessions.items():
         with scene.layers(session) as layers:
             if not layers.has("depth"):
                 continue
         for k, name in enumerate(frames.names):
-            if name in mapped or not any_mapped:
+            if name in map_names or not has_map_photographs:
                 depth = partial(_read_exact, scene, session, k)
                 rgb = partial(read_rgb, scene.images_root / name, frames.cameras[k])
                 views.append(DepthView(frames.cameras[k], frames.cam_from_world[k], depth, rgb))

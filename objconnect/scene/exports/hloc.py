@@ -2,13 +2,14 @@
 
 ``queries_with_intrinsics.txt`` has lines "name MODEL width height params...". ``pairs-map.txt``
 lists the covisible frames of the map. ``pairs-query.txt`` pairs each query with the map frames that
-see most of it; this is perfect retrieval, an upper bound.
+see the largest shares of its surface; this is perfect retrieval, an upper bound.
 
 ``features.h5`` and ``matches.h5`` have the layout of hloc's ``extract_features`` and
 ``match_features``. A photograph is a group with ``keypoints`` (N, 2), whose origin is the centre of
-the top left pixel, ``descriptors`` (D, N), ``scores`` and ``image_size``. A pair is a group
-``NAME0/NAME1``, with "-" for "/" in the names. Its ``matches0`` is, for each keypoint of the first
-photograph, the index of the matching keypoint of the second, -1 for none.
+the top left pixel, ``descriptors`` (D, N), ``scores``, ``scales`` and ``image_size``. A pair is a
+group ``NAME0/NAME1``, with "-" for "/" in the names. Its ``matches0`` is, for each keypoint of the
+first photograph, the index of the matching keypoint of the second, -1 for none; its
+``matching_scores0`` is 1 for a match, else 0. ``pairs.txt`` lists these pairs.
 """
 
 from __future__ import annotations
@@ -44,8 +45,8 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
         for frames in sessions.values()
         for name, camera in zip(frames.names, frames.cameras, strict=True)
     }
-    mapped = set(scene.splits.map)
-    queries = [name for name in cameras if name not in mapped]
+    map_names = set(scene.splits.map)
+    queries = [name for name in cameras if name not in map_names]
     if not queries:
         raise InputError("these sessions have no query: name a session of queries")
     references = scene.splits.map

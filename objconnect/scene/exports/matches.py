@@ -31,7 +31,7 @@ def read_map_features(scene: Scene) -> tuple[SparseMap, FeatureFile]:
         InputError: the scene has no map, or its features are missing or are not the map's.
     """
     scene_map = scene.sparse_map()
-    sparse_map = scene_map.without(scene.is_added_point(scene_map))
+    sparse_map = scene_map.drop_points(scene.is_added_point(scene_map))
     features = FeatureFile(scene.map_path / FEATURES)
     images = {}
     for name, image in sparse_map.images.items():

@@ -71,7 +71,7 @@ def _write_document(
     cameras = list(dict.fromkeys(c for frames in sessions.values() for c in frames.cameras))
     if len({camera.is_fisheye for camera in cameras}) > 1:
         raise InputError(
-            "transforms.json has one camera model, and these sessions fly perspective and fisheye "
+            "transforms.json has one camera model, and these sessions use perspective and fisheye "
             "cameras: export them separately with --session"
         )
     shared = _intrinsics(cameras[0]) if len(cameras) == 1 else {}

@@ -36,8 +36,8 @@ SURFACE: Final = "dsm.tif"
 
 # Side of the tiles that are fused in memory, pixels.
 _TILE = 2048
-# A pixel's highest surface consists of the points at most this far (m), or one side of the pixel,
-# below the highest point; lower points are walls.
+# A pixel's highest surface consists of the points at most this far (m), or one side of the pixel if
+# that is larger, below the highest point; lower points are walls.
 _SAME_SURFACE_M = 0.3
 # Number of passes that fill pixels without data from their neighbours.
 _FILL_PASSES = 3
@@ -193,8 +193,8 @@ class _Tile:
 
         Returns:
             Cell (flat index of the tile's pixel), height and weight of each point, each (n,), and
-            the mask (H, W) of their pixels in the photograph. Views from above weigh more, because
-            they see roofs whole.
+            the mask (H, W) of their pixels in the photograph. Views from above have larger weights,
+            because they see whole roofs.
         """
         points, mask = view.points()
         coordinates = self.local.coordinates(points)

@@ -1,8 +1,8 @@
 """Export to rerun: ``scene.rrd`` for the viewer of https://rerun.io.
 
-The world is right-handed with Z up. Each session has a trajectory, and its cameras follow the time
-lines ``frame`` (number in the session) and ``time`` (if photographs have a time). Cameras are
-pinholes, because rerun draws no distortion. The map's points are static.
+The world is right-handed with Z up. Each session has a trajectory, and cameras on the time lines
+``frame`` (number in the session) and ``time`` (if photographs have a time). Cameras are pinholes,
+because rerun draws no distortion. The map's points are static.
 
 Only this module imports rerun, which the extra ``[rerun]`` installs.
 """
@@ -23,8 +23,8 @@ from objconnect.scene.storage.files import require_disk_space, require_readable
 
 _FILE = "scene.rrd"
 _ORANGE = (255, 140, 0)
-# A disk with less free space counts as full, because rerun only logs a full disk and truncates the
-# file.
+# A disk with less free space is treated as full, because rerun only logs a full disk and truncates
+# the file.
 _MIN_FREE_BYTES = 1 << 20
 
 

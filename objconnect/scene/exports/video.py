@@ -54,7 +54,7 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
             f"{quote_name(frame)} {' '.join(repr(value) for value in numbers)}\n"
             for frame, numbers in zip(names, _pose_rows(frames.poses), strict=True)
         ]
-        # The header differs from that of results, so that 'localize' does not replace the file.
+        # The header differs from that of results files, so that 'localize' does not replace it.
         header = "# true poses: name qw qx qy qz tx ty tz  (world to camera, metres)\n"
         (folder / f"{name}-poses.txt").write_text(header + "".join(lines), "utf-8")
         seconds = (f"{frame},{index / rate_hz:.6f}\n" for index, frame in enumerate(names))

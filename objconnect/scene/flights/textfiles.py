@@ -47,7 +47,7 @@ T = TypeVar("T")
 
 
 def read_poses(
-    path: Path, centres: bool = False, most_unclear_m: float | None = None
+    path: Path, centres: bool = False, max_rounding_m: float | None = None
 ) -> dict[str, Pose]:
     """Read poses from lines ``name qw qx qy qz tx ty tz``, world to camera, in metres.
 
@@ -56,7 +56,7 @@ def read_poses(
     Args:
         path: text file.
         centres: whether the last three columns are the camera centre instead of the translation.
-        most_unclear_m: largest error of a camera centre by the rounding of its quaternion, metres,
+        max_rounding_m: largest error (m) of a camera centre due to the rounding of its quaternion,
             which matters for large coordinates; None accepts any.
 
     Returns:
@@ -78,8 +78,8 @@ def read_poses(
             ) from None
         values = _numbers(where, numbers)
         check_pose(values[:4], values[4:], f"{where}: {name}")
-        if most_unclear_m is not None:
-            _require_clear_centre(values, most_unclear_m, f"{where}: {name}")
+        if max_rounding_m is not None:
+            _require_exact_centre(values, max_rounding_m, f"{where}: {name}")
         pose = Pose.from_quaternion(values[:4], values[4:])
         if centres:
             pose = Pose(pose.rotation, -(pose.rotation @ pose.translation))
@@ -87,17 +87,17 @@ def read_poses(
     return poses
 
 
-def _require_clear_centre(values: NDArray[np.float64], most_m: float, where: str) -> None:
+def _require_exact_centre(values: NDArray[np.float64], max_rounding_m: float, where: str) -> None:
     """Refuse a pose (7,) whose quaternion is too coarse for its translation.
 
-    A quaternion off unit length by d turns the translation t into a centre that is unclear by
-    ``|t| d``.
+    If the length of a quaternion differs from one by d, the centre for a translation t is uncertain
+    by ``|t| d``.
     """
-    unclear = np.linalg.norm(values[4:]) * abs(float(np.linalg.norm(values[:4])) - 1)
-    if unclear > most_m:
+    rounding_m = np.linalg.norm(values[4:]) * abs(float(np.linalg.norm(values[:4])) - 1)
+    if rounding_m > max_rounding_m:
         raise InputError(
             f"{where}: the quaternion has too few digits for a translation this long: the position "
-            f"is unclear by {unclear:.2f} m; write it with 12 digits or more"
+            f"is uncertain by {rounding_m:.2f} m; write it with 12 digits or more"
         )
 
 

@@ -59,7 +59,7 @@ class Layout:
         return len(self.bands.colours) if self.palette is None else 3
 
 
-def grid_of(source: Any, path: Path, kind: Kind) -> Grid:
+def read_grid(source: Any, path: Path, kind: Kind) -> Grid:
     """Return the pixel grid of a file.
 
     Raises:
@@ -115,11 +115,11 @@ def _check_world_file(grid: Grid, path: Path, kind: Kind) -> None:
             continue
         if len(numbers) != 6:
             continue
-        across, _, _, down, left, top = numbers
-        scale_error = math.hypot(across / grid.pixel[0] - 1, -down / grid.pixel[1] - 1)
+        x_scale, _, _, y_scale, east, north = numbers
+        scale_error = math.hypot(x_scale / grid.pixel[0] - 1, -y_scale / grid.pixel[1] - 1)
         stretch = scale_error * max(grid.width, grid.height)
         centre = grid.left + grid.pixel[0] / 2, grid.top - grid.pixel[1] / 2
-        shift = math.hypot((left - centre[0]) / grid.pixel[0], (top - centre[1]) / grid.pixel[1])
+        shift = math.hypot((east - centre[0]) / grid.pixel[0], (north - centre[1]) / grid.pixel[1])
         if not (stretch <= _WORLD_FILE_TOLERANCE_PX and shift <= _WORLD_FILE_TOLERANCE_PX):
             raise InputError(
                 f"{kind} {path} and its world file {file.name} state different positions: remove "
@@ -137,7 +137,7 @@ def check_blocks(source: Any, path: Path, kind: Kind) -> None:
         )
 
 
-def layout_of(source: Any, path: Path, kind: Kind, projection: Projection) -> Layout:
+def read_layout(source: Any, path: Path, kind: Kind, projection: Projection) -> Layout:
     """Return the conversion of the bands to colours, heights in metres, or class numbers.
 
     Raises:

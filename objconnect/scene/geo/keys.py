@@ -40,7 +40,7 @@ def _keys(path: Path) -> dict[int, int]:
             file.seek(directory.next)
             directory.load(file)
             numbers = [int(number) for number in directory[_GEO_KEY_DIRECTORY]]
-    except Exception:  # GDAL has read the file; without readable keys there are none
+    except Exception:  # GDAL has read the file; keys that cannot be read are treated as missing
         return {}
     entries = [numbers[k : k + 4] for k in range(4, len(numbers) - 3, 4)]
     return {key: value for key, tag, count, value in entries if tag == 0 and count == 1}

@@ -17,7 +17,7 @@ from objconnect.scene.geometry.pose import Pose
 Array = NDArray[np.float64]
 
 MOST_STRETCH: Final = 2e-3
-"""Largest relative difference of a grid's metre from the metre that ``world_pose`` accepts."""
+"""Largest deviation from 1 of a system's scale that ``world_pose`` accepts."""
 
 # Half the length of the lines that measure the axes of a system, metres.
 _ARM_M: Final = 10.0
@@ -30,15 +30,15 @@ class LocalProjection:
     """Coordinates of a reference system as polynomials of degree 2 in world metres.
 
     Within a box of 2 km the polynomials differ from the exact coordinates by less than a tenth of a
-    millimetre, because map projections change smoothly. A straight line in
-    the world becomes a parabola, which ``along`` returns.
+    millimetre, because map projections change smoothly. A straight line in the world becomes a
+    parabola, which ``expand_rays`` returns.
 
     Attributes:
         middle: centre of the box, (3,) world metres.
         scale: metres of the world per unit of the polynomials' arguments.
         constant: (3,) coordinates of the centre: east, north, height.
         linear: (3, 3), by coordinate and axis.
-        quadratic: (3, 3, 3) symmetric in the last two.
+        quadratic: (3, 3, 3), by coordinate and two axes; symmetric in the axes.
     """
 
     middle: Array
@@ -78,7 +78,7 @@ class LocalProjection:
         curved = np.einsum("...i,kij,...j->...k", u, self.quadratic, u, optimize=True)
         return np.asarray(self.constant + u @ self.linear.T + curved)
 
-    def along(self, start: Array, directions: Array) -> tuple[Array, Array, Array]:
+    def expand_rays(self, start: Array, directions: Array) -> tuple[Array, Array, Array]:
         """Return the coordinates of ``start + t * direction`` as ``a + b t + c t^2``.
 
         Args:
@@ -94,7 +94,7 @@ class LocalProjection:
         return self.coordinates(start), v @ slope.T, curved
 
 
-def world_from(projection: Projection, origin: Geodetic, coordinates: Array) -> Array:
+def world_from_coordinates(projection: Projection, origin: Geodetic, coordinates: Array) -> Array:
     """Convert coordinates east, north and height (N, 3) exactly to world positions (N, 3).
 
     Raises:
@@ -124,7 +124,7 @@ def world_pose(projection: Projection, origin: Geodetic, cam_from_grid: Pose) ->
     """
     centre = cam_from_grid.centre().numpy()
     steps = _ARM_M * np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
-    world = world_from(projection, origin, centre + steps)
+    world = world_from_coordinates(projection, origin, centre + steps)
     left, lengths, right = np.linalg.svd((world[1:4] - world[4:]).T / (2 * _ARM_M))
     stretch = 1 / np.maximum(lengths, 1e-9)
     worst = float(stretch[np.abs(stretch - 1).argmax()])

@@ -65,7 +65,7 @@ def parse_system(line: str, where: str) -> NamedSystem:
     """
     name = " ".join(line.split()).strip("'\"").strip()
     stated: list[tuple[str, str]] = []
-    if not name.startswith("+"):  # PROJ reads these parameters, but not beside a code
+    if not name.startswith("+"):  # PROJ reads these parameters, but not after a code
         stated = _VERTICAL.findall(name)
         name = _VERTICAL.sub("", name).strip()
     utm = _UTM.fullmatch(name)

@@ -28,9 +28,9 @@ from objconnect.scene.geo.headers import (
     Layout,
     check_blocks,
     check_undulation,
-    grid_of,
     heights_note,
-    layout_of,
+    read_grid,
+    read_layout,
 )
 from objconnect.scene.geo.headers import Kind as Kind
 from objconnect.scene.geometry.geodesy import Geodetic
@@ -90,12 +90,12 @@ class Raster:
                 has no reference system in metres, is rotated, or has other or unmarked bands.
         """
         with _open(path, kind) as source:
-            grid = grid_of(source, path, kind)
+            grid = read_grid(source, path, kind)
             check_blocks(source, path, kind)
-            layout = layout_of(source, path, kind, grid.projection)
-            declared = any(value is not None for value in source.nodatavals)
+            layout = read_layout(source, path, kind, grid.projection)
+            declares_no_data = any(value is not None for value in source.nodatavals)
         raster = Raster(path, kind, grid, layout)
-        return _check_heights(raster, declared) if kind == "surface model" else raster
+        return _find_no_data(raster, declares_no_data) if kind == "surface model" else raster
 
     def notes(self, place: Geodetic, undulation: float | None = None) -> tuple[str, ...]:
         """Return notes on the file for the user, one line each.
@@ -165,10 +165,10 @@ class Raster:
         """
         shape = (self.layout.channels, len(rows) // factor, len(columns) // factor)
         values = np.full(shape, np.nan, np.float32)
-        at_once = max(1, _READ_PIXELS // (len(columns) * factor))
+        rows_at_once = max(1, _READ_PIXELS // (len(columns) * factor))
         with _open(self.path, self.kind) as source:
-            for first in range(0, shape[1], at_once):
-                part = values[:, first : first + at_once]
+            for first in range(0, shape[1], rows_at_once):
+                part = values[:, first : first + rows_at_once]
                 top = rows.start + first * factor
                 pixels = self._pixels(source, range(top, top + part.shape[1] * factor), columns)
                 part[:] = pixels if factor == 1 else _means(pixels, factor)
@@ -238,8 +238,8 @@ class Raster:
             yield Patch(part, pixels)
 
 
-def _check_heights(raster: Raster, declared: bool) -> Raster:
-    """Return a surface model with its undeclared no-data heights.
+def _find_no_data(raster: Raster, declares_no_data: bool) -> Raster:
+    """Return a surface model with the no-data heights that its file does not declare.
 
     Raises:
         InputError: the file is damaged, or no data cannot be distinguished from a plain.
@@ -250,7 +250,7 @@ def _check_heights(raster: Raster, declared: bool) -> Raster:
 
     every = math.ceil(raster.grid.width * raster.grid.height / _MOST_SEARCHED_PIXELS)
     pixel_m = max(raster.grid.ground_pixel)
-    ground = find_ground(strips, declared, pixel_m, f"{raster.kind} {raster.path}")
+    ground = find_ground(strips, declares_no_data, pixel_m, f"{raster.kind} {raster.path}")
     return replace(
         raster,
         lowest=ground.lowest,
@@ -281,7 +281,7 @@ def _means(pixels: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
 def _open(path: Path, kind: Kind) -> Iterator[Any]:
     """Open a GeoTIFF; errors inside the block are reported like those of opening it."""
     rasterio = import_extra("rasterio", "geo", "a GeoTIFF")
-    # Suppress GDAL's warnings about a damaged file: our message says it.
+    # Suppress GDAL's warnings about a damaged file: our error message reports it.
     logging.getLogger("rasterio").setLevel(logging.ERROR)
     require_readable(path, kind)
     try:

@@ -6,7 +6,7 @@ from objconnect.scene.geo.crs import geoid_undulation
 from objconnect.scene.storage.exif import Exif
 
 
-def above_ellipsoid(exif: Exif, undulation_m: float | None = None) -> Exif:
+def convert_to_ellipsoid(exif: Exif, undulation_m: float | None = None) -> Exif:
     """Return metadata with the altitude converted from sea level to the ellipsoid.
 
     Without an undulation the altitude stays above sea level, with its doubt.
@@ -20,4 +20,4 @@ def above_ellipsoid(exif: Exif, undulation_m: float | None = None) -> Exif:
         return exif
     if undulation_m is None:
         undulation_m = geoid_undulation(exif.position)
-    return exif if undulation_m is None else exif.above_ellipsoid(undulation_m)
+    return exif if undulation_m is None else exif.convert_to_ellipsoid(undulation_m)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objconnect.scene.errors import InputError
-from objconnect.scene.geometry.colmap_models import equal_model
+from objconnect.scene.geometry.colmap_models import convert_model
 
 if TYPE_CHECKING:
     import torch
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 
     from objconnect.scene.geometry.projection import Intrinsics, Projection
 
-# Larger parameters are damage, and their squares overflow.
+# Larger parameters come from a damaged file, and their squares overflow.
 _MAX_PARAMETER = 1e9
 # Smaller distortion coefficients have no measurable effect.
 _MIN_COEFFICIENT = 1e-12
 # Perspective models with more coefficients are rational: their distortion has a denominator.
 _POLYNOMIAL_COUNT = 4
-# Smaller products of coefficients count as zero. A root is real if its imaginary part is at most
-# this share of its absolute value.
+# Smaller products of coefficients are treated as zero. A root is real if its imaginary part is at
+# most this share of its absolute value.
 _MIN_PRODUCT, _MAX_IMAGINARY_SHARE = 1e-30, 1e-6
 
 MODELS: Final[dict[str, tuple[str, ...]]] = {
@@ -111,7 +111,7 @@ class Camera:
             raise InputError(
                 f"expected 'MODEL width height params...', got {' '.join(words)!r}"
             ) from None
-        model, params = equal_model(model, params)
+        model, params = convert_model(model, params)
         return Camera(model, width, height, params)
 
     def __str__(self) -> str:
@@ -238,9 +238,9 @@ class Camera:
             >>> str(camera.crop(20, 40, 600, 400))
             'PINHOLE 600 400 500.0 500.0 300.0 200.0'
         """
-        moved = {"cx": left, "cy": top}
+        shift = {"cx": left, "cy": top}
         names = MODELS[self.model]
-        params = tuple(p - moved.get(n, 0) for n, p in zip(names, self.params, strict=True))
+        params = tuple(p - shift.get(n, 0) for n, p in zip(names, self.params, strict=True))
         return Camera(self.model, width, height, params)
 
 
@@ -271,8 +271,7 @@ def _rational_limit(distortion: tuple[float, ...]) -> float:
     slope = numerator * denominator + 2 * np.poly1d([1.0, 0.0]) * derivative
     limits = [math.inf]
     for polynomial in (slope.coeffs, denominator.coeffs):
-        kept = polynomial[np.argmax(np.abs(polynomial) > _MIN_PRODUCT) :]
-        roots = np.roots(kept)
+        roots = np.roots(polynomial[np.argmax(np.abs(polynomial) > _MIN_PRODUCT) :])
         limits += [
             math.sqrt(r.real)
             for r in roots

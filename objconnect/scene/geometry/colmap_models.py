@@ -73,7 +73,7 @@ def parameter_count(model: str) -> int | None:
     return len(_EQUAL[model][1]) if model in _EQUAL else None
 
 
-def equal_model(model: str, params: Sequence[float]) -> tuple[str, tuple[float, ...]]:
+def convert_model(model: str, params: Sequence[float]) -> tuple[str, tuple[float, ...]]:
     """Return the supported model that projects every point to the same pixel.
 
     Args:
@@ -89,7 +89,7 @@ def equal_model(model: str, params: Sequence[float]) -> tuple[str, tuple[float, 
             parameters is wrong.
 
     Examples:
-        >>> equal_model("SIMPLE_RADIAL_FISHEYE", (500.0, 320.0, 240.0, 0.01))
+        >>> convert_model("SIMPLE_RADIAL_FISHEYE", (500.0, 320.0, 240.0, 0.01))
         ('OPENCV_FISHEYE', (500.0, 500.0, 320.0, 240.0, 0.01, 0.0, 0.0, 0.0))
     """
     if (

@@ -27,8 +27,8 @@ class Geodetic(NamedTuple):
 
 
 FARTHEST_M: Final = 1e8
-"""Largest distance of a point on earth from a map's origin (m). Larger coordinates in a file are
-damage, and powers of them overflow."""
+"""Largest distance of a point on earth from a map's origin (m). A file with larger coordinates is
+damaged, and powers of them overflow."""
 
 # Largest altitude of an aircraft (m).
 _MAX_ALTITUDE_M = 1e6
@@ -44,8 +44,8 @@ def is_on_earth(place: Geodetic) -> bool:
 
 def is_same_place(a: Geodetic, b: Geodetic, up_m: float = 0.01) -> bool:
     """Return whether two places are within a centimetre horizontally and ``up_m`` vertically."""
-    across_deg = max(abs(a.latitude - b.latitude), abs(a.longitude - b.longitude))
-    return across_deg <= _CENTIMETRE_DEG and abs(a.altitude - b.altitude) <= up_m
+    horizontal_deg = max(abs(a.latitude - b.latitude), abs(a.longitude - b.longitude))
+    return horizontal_deg <= _CENTIMETRE_DEG and abs(a.altitude - b.altitude) <= up_m
 
 
 def ecef_from_geodetic(place: Geodetic) -> NDArray[np.float64]:
@@ -130,7 +130,7 @@ def geodetics_from_enu(enu: NDArray[np.float64], origin: Geodetic) -> NDArray[np
 def median_place(places: Sequence[Geodetic]) -> Geodetic:
     """Return the median of places, also across longitude 180.
 
-    Longitudes are measured from that of the median in earth-centred coordinates, so that they do
+    Longitudes are measured from the longitude of the median earth-centred position, so that they do
     not wrap. Unknown altitudes are ignored; if all are unknown, so is the median.
     """
     with_altitudes = [p._replace(altitude=0.0) if math.isnan(p.altitude) else p for p in places]

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-class Nearest:
+class NearestNeighbours:
     """A nearest-neighbour index of points (N, 2), which it sorts by x.
 
-    A query computes distances only in a strip of x, which grows with the square root of the number
-    of points at constant density.
+    A query computes distances only to the points in a strip of x. At constant density, a strip has
+    about as many points as the square root of their number.
     """
 
     def __init__(self, xy: NDArray[np.float64]) -> None:
@@ -40,17 +40,17 @@ class Nearest:
             begin = int(sorted_x.searchsorted(point[0] - radius))
             end = int(sorted_x.searchsorted(point[0] + radius, "right"))
             squares = np.square(self._xy[begin:end] - point).sum(1)
-            within = np.flatnonzero(squares <= radius * radius)  # ** raises OverflowError instead
+            inside = np.flatnonzero(squares <= radius * radius)  # ** raises OverflowError instead
             if end - begin == count:
-                within = np.arange(count)
-            if len(within) >= k:
+                inside = np.arange(count)
+            if len(inside) >= k:
                 break
             radius = 2 * radius or 1e-6
-        if len(within) > k:
-            kth_square = np.partition(squares[within], k - 1)[k - 1]
-            within = within[squares[within] <= kth_square]
-        rows = self._rows[begin:end][within]
-        return np.asarray(rows[np.lexsort((rows, squares[within]))][:k], np.int64)
+        if len(inside) > k:
+            kth_square = np.partition(squares[inside], k - 1)[k - 1]
+            inside = inside[squares[inside] <= kth_square]
+        rows = self._rows[begin:end][inside]
+        return np.asarray(rows[np.lexsort((rows, squares[inside]))][:k], np.int64)
 
     def within(self, point: NDArray[np.float64], radius: float) -> NDArray[np.int64]:
         """Return the rows of the points at most ``radius`` from ``point`` (2,), ascending."""

@@ -191,8 +191,8 @@ class Pose:
     def __matmul__(self, other: Pose) -> Pose:
         """Compose transforms: ``a_from_b @ b_from_c = a_from_c``."""
         rotation = self.rotation @ other.rotation
-        moved = (self.rotation @ other.translation[..., None])[..., 0]
-        return Pose(rotation, moved + self.translation)
+        rotated = (self.rotation @ other.translation[..., None])[..., 0]
+        return Pose(rotation, rotated + self.translation)
 
     def transform(self, points: Tensor) -> Tensor:
         """Map points of frame b into frame a. Pose (...), points (..., N, 3) -> (..., N, 3)."""

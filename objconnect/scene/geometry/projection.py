@@ -14,9 +14,9 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-# Points with a smaller z (in units of the camera frame) count as behind the camera.
+# Points with a smaller z (in units of the camera frame) are treated as behind the camera.
 MIN_DEPTH: Final = 1e-6
-# So do points with a larger |x/z| or |y/z|, because its powers overflow single precision.
+# So are points with a larger |x/z| or |y/z|, because its powers overflow single precision.
 MAX_SLOPE: Final = 1e4
 _NEWTON_STEPS = 30
 # Number of coefficients of a perspective model with polynomial, not rational, distortion.
@@ -99,8 +99,8 @@ class Intrinsics:
             ([42.0, 24.0], [True, False])
         """
         z = points[..., 2]
-        aside = torch.maximum(points[..., 0].abs(), points[..., 1].abs())
-        in_front = (z > MIN_DEPTH) & (aside < MAX_SLOPE * z)
+        lateral = torch.maximum(points[..., 0].abs(), points[..., 1].abs())
+        in_front = (z > MIN_DEPTH) & (lateral < MAX_SLOPE * z)
         inverse_z = 1 / torch.where(in_front, z, torch.ones_like(z))
         uv = torch.where(in_front[..., None], points[..., :2] * inverse_z[..., None], 0)
         distorted, local, inside = self._distort(uv, jacobian)
@@ -220,7 +220,7 @@ class Intrinsics:
     def _clamp_to_limit(self, uv: Tensor) -> Tensor:
         """Clamp coordinates (..., N, 2) of a rational distortion to the fold-over limit.
 
-        Beyond a zero of the denominator, Newton's method would leave for another branch.
+        Beyond a zero of the denominator, Newton's method would converge to another branch.
         """
         if self.distortion.shape[-1] == _POLYNOMIAL_COUNT:
             return uv

@@ -42,8 +42,8 @@ class Rays:
         """Return the rows of the largest set of reference images that agree on one camera.
 
         Each pair of rays proposes its intersection and the attitude of its first ray. A reference
-        image agrees if its ray passes near the point and its attitude is near the proposed one. The
-        result is empty if no two agree.
+        image agrees if its ray passes near the intersection and its attitude is near the proposed
+        one. The result is empty if no two agree.
 
         Args:
             max_error_deg: angle between a ray and the point, and between attitudes, below which

@@ -18,7 +18,7 @@ from objconnect.scene.geometry.robust import CAUCHY_SCALE, MAX_CONDITION, SIGMA_
 _TINY = 1e-24
 # Steps (rad and m) shorter than this change nothing measurable.
 _MIN_STEP = 1e-7
-# Smallest noise of matches (px); that of simulated, exact matches would be zero.
+# Smallest standard deviation of matches (px). It would be zero for simulated, exact matches.
 _LEAST_SIGMA = 1e-3
 # Largest number of Levenberg-Marquardt steps; a pose that still moves then is unconstrained.
 _MAX_STEPS: Final = 30

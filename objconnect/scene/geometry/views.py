@@ -2,9 +2,9 @@
 
 Networks match such views better, because photographs of a survey have any height and any heading,
 opposite ones on neighbouring lines. Rotation and scale come from the poses of the map, or from the
-prior of a query, which is exact to a few degrees and metres. A rotated and resized photograph is
-that of another camera with the lens rotated. A photograph with a flatter line of sight than the
-map's is levelled: warped to a camera of less tilt at the same position.
+prior of a query, which is exact to a few degrees and metres. A rotated and resized photograph
+equals one of another camera with a rotated lens. A photograph with a larger tilt than the map's is
+levelled: warped to a camera of less tilt at the same position.
 """
 
 from __future__ import annotations
@@ -180,12 +180,12 @@ class WarpedImage:
         """
         if not np.isfinite(covariance).all():
             return covariance
-        back = np.kron(np.eye(2), self.view_from_camera.T)
-        return np.asarray(back @ covariance @ back.T)
+        inverse = np.kron(np.eye(2), self.view_from_camera.T)
+        return np.asarray(inverse @ covariance @ inverse.T)
 
 
-def _rotate_pose(by: torch.Tensor, pose: Pose) -> Pose:
-    return Pose(by @ pose.rotation, pose.translation @ by.T)
+def _rotate_pose(rotation: torch.Tensor, pose: Pose) -> Pose:
+    return Pose(rotation @ pose.rotation, pose.translation @ rotation.T)
 
 
 def warp_image(
@@ -221,9 +221,11 @@ def warp_image(
     view = Camera(model, int(view_size[0]), int(view_size[1]), (*(float(p) for p in params), *lens))
     # The inverse of a rotation after a scaling, written out: starting LAPACK's threads takes 2 ms.
     inverse = rotation[:2, :2].T / per_axis[:, None]
-    back = partial(_affine_back, inverse, affine[:, 2])
+    photograph_from_view = partial(_affine_back, inverse, affine[:, 2])
     axis_scale = float(np.linalg.norm(affine[:, 0]))
-    return WarpedImage(resample(rgb, affine, view_size), view, rotation, back, axis_scale, size)
+    return WarpedImage(
+        resample(rgb, affine, view_size), view, rotation, photograph_from_view, axis_scale, size
+    )
 
 
 def level_image(
@@ -254,17 +256,26 @@ def level_image(
     width, height = np.maximum(np.ceil(extent * focal), 1).astype(int).tolist()
     principal = (-normalised.min(0) * focal).tolist()
     view = Camera("PINHOLE", width, height, (focal, focal, *principal))
-    back = partial(_to_camera_pixels, view, view_from_camera, camera)
+    photograph_from_view = partial(_to_camera_pixels, view, view_from_camera, camera)
     grid = view.pixel_grid(torch.float64).reshape(-1, 2).numpy()
     shrink = np.minimum(np.maximum(np.round(size * scale), 1), size).astype(int)
     small = np.asarray(cv2.resize(rgb, shrink.tolist(), interpolation=cv2.INTER_AREA), np.uint8)
     # OpenCV counts from the first pixel's centre.
-    source = (back(grid) * (shrink / size) - 0.5).astype(np.float32).reshape(height, width, 2)
+    source = (
+        (photograph_from_view(grid) * (shrink / size) - 0.5)
+        .astype(np.float32)
+        .reshape(height, width, 2)
+    )
     source = np.nan_to_num(source, nan=-1e4)
     picture = cv2.remap(small, source[..., 0], source[..., 1], cv2.INTER_LINEAR)
     axis_scale = focal / float(np.mean(camera.focal))
     return WarpedImage(
-        np.asarray(picture, np.uint8), view, view_from_camera, back, axis_scale, size
+        np.asarray(picture, np.uint8),
+        view,
+        view_from_camera,
+        photograph_from_view,
+        axis_scale,
+        size,
     )
 
 
@@ -305,8 +316,8 @@ def resample(
         small = small.astype(int)
         rgb = np.asarray(cv2.resize(rgb, small.tolist(), interpolation=cv2.INTER_AREA), np.uint8)
         affine = np.column_stack([affine[:, :2] * ([width, height] / small), affine[:, 2]])
-    moved = opencv_affine(affine)
-    return np.asarray(cv2.warpAffine(rgb, moved, size.tolist(), flags=cv2.INTER_LINEAR), np.uint8)
+    affine = opencv_affine(affine)
+    return np.asarray(cv2.warpAffine(rgb, affine, size.tolist(), flags=cv2.INTER_LINEAR), np.uint8)
 
 
 def opencv_affine(affine: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -94,10 +94,10 @@ class BrownLens:
 
     def _make_camera(self, params: Sequence[float]) -> Camera:
         """Return the camera of fx, fy, cx, cy, k1, k2, p1, p2 and k3."""
-        *most, k3 = params
+        *opencv, k3 = params
         if k3 == 0:
-            return Camera("OPENCV", *self.size, tuple(most))
-        return Camera("FULL_OPENCV", *self.size, (*most, k3, 0.0, 0.0, 0.0))
+            return Camera("OPENCV", *self.size, tuple(opencv))
+        return Camera("FULL_OPENCV", *self.size, (*opencv, k3, 0.0, 0.0, 0.0))
 
     def project(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the pixels (N, 2) of rays (x, y, 1), each (N,)."""
@@ -119,8 +119,8 @@ class BrownLens:
         inside = ((xy >= 0) & (xy <= np.array(self.size))).all(-1)
         distance = np.linalg.norm(xy - np.array(self.principal), axis=-1)
         inside[:, 1:] &= np.diff(distance, axis=1) > 0
-        kept = np.logical_and.accumulate(inside, axis=1)
-        return x[kept], y[kept]
+        valid = np.logical_and.accumulate(inside, axis=1)
+        return x[valid], y[valid]
 
     def _fit(self) -> Camera:
         """Fit focal length and five coefficients by least squares over the picture."""

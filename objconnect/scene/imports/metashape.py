@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.geodesy import Geodetic, enu_axes, geodetic_from_ecef
-from objconnect.scene.imports.metashape_lens import camera_of, numbers_of
+from objconnect.scene.imports.metashape_lens import parse_camera, parse_numbers
 from objconnect.scene.imports.poses import ForeignPoses, Format, begins_with, check_poses
 from objconnect.scene.quantities.flags import parse_flag
 from objconnect.scene.storage.files import read_text
@@ -35,12 +35,12 @@ def _read(path: Path) -> ForeignPoses:
     aligned = [camera for camera in chunk.iter("camera") if _is_aligned(camera)]
     # Unused sensors have an empty calibration.
     used = dict.fromkeys(camera.get("sensor_id") for camera in aligned)
-    cameras = {name: camera_of(path, sensors[name]) for name in used if name in sensors}
+    cameras = {name: parse_camera(path, sensors[name]) for name in used if name in sensors}
     transforms = _world_from_chunk(path, chunk, aligned)
     names, lenses, matrices = [], [], []
     for camera in aligned:
         name = camera.get("label", "")
-        chunk_from_cam = numbers_of(path, camera.find("transform"), 16, f"transform of {name!r}")
+        chunk_from_cam = parse_numbers(path, camera.find("transform"), 16, f"transform of {name!r}")
         chunk_from_cam = _require_last_row(path, chunk_from_cam.reshape(4, 4), name)
         names.append(name)
         lenses.append(cameras.get(camera.get("sensor_id")))
@@ -126,7 +126,7 @@ def _similarity(path: Path, holder: ET.Element) -> Array | None:
             raise InputError(
                 f"{path}: the transform of {holder.tag} {holder.get('label', '')!r} has no {part}"
             )
-        parts[part] = numbers_of(path, element, count, part)
+        parts[part] = parse_numbers(path, element, count, part)
     if not parts["scale"][0] > 0:
         raise InputError(f"{path}: the scale of {holder.tag} must be positive")
     matrix = np.eye(4)
@@ -139,10 +139,10 @@ def _to_world(chunk_from_cam: Array, world_from_chunk: Array | None) -> Array:
     """Return world_from_cam, (4, 4), with the scale removed from its rotation."""
     if world_from_chunk is None:
         return chunk_from_cam
-    moved = np.asarray(world_from_chunk @ chunk_from_cam)
+    world_from_cam = np.asarray(world_from_chunk @ chunk_from_cam)
     scale = np.cbrt(np.linalg.det(world_from_chunk[:3, :3]))
-    moved[:3, :3] /= scale if scale > 0 else np.nan
-    return moved
+    world_from_cam[:3, :3] /= scale if scale > 0 else np.nan
+    return world_from_cam
 
 
 def _localize_geocentric(world_from_cam: Array) -> tuple[Array, Geodetic | None]:

@@ -28,7 +28,7 @@ _PARAMETERS: Final = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1",
 _OTHER_ELEMENTS: Final = ("resolution", "covariance", "date", "correlation")
 
 
-def numbers_of(
+def parse_numbers(
     path: Path, element: ET.Element | None, count: int, what: str
 ) -> NDArray[np.float64]:
     """Return the numbers of an element's text, (count,).
@@ -46,7 +46,7 @@ def numbers_of(
     return values
 
 
-def camera_of(path: Path, sensor: ET.Element) -> Camera | None:
+def parse_camera(path: Path, sensor: ET.Element) -> Camera | None:
     """Return the camera of a sensor, from its adjusted calibration or else its first one.
 
     It is None if the sensor has no calibration.
@@ -78,7 +78,7 @@ def _parameters(path: Path, calibration: ET.Element, where: str) -> dict[str, fl
             continue
         if element.tag in _PARAMETERS:
             what = f"{element.tag} of {where}"
-            params[element.tag] = float(numbers_of(path, element, 1, what)[0])
+            params[element.tag] = float(parse_numbers(path, element, 1, what)[0])
         elif (element.text or "").strip() not in ("", "0"):
             raise InputError(f"the coefficient {element.tag} is not supported")
     if "f" not in params:

@@ -53,13 +53,13 @@ def match_files(files: Sequence[str], names: Sequence[str], where: Path) -> dict
             names_by_spelling.setdefault(spell(name), []).append(name)
         owners: dict[str, str] = {}
         for file in files:
-            alike = names_by_spelling.get(spell(file), [])
-            if file in found or len(alike) != 1:
+            candidates = names_by_spelling.get(spell(file), [])
+            if file in found or len(candidates) != 1:
                 continue
-            owner = owners.setdefault(alike[0], file)
+            owner = owners.setdefault(candidates[0], file)
             if owner != file:
-                raise _ambiguity_error(where, alike[0], owner, file)
-            found[file] = alike[0]
+                raise _ambiguity_error(where, candidates[0], owner, file)
+            found[file] = candidates[0]
         unmatched = [name for name in unmatched if name not in owners]
     # A matched name without a folder may also mean a photograph of that name in another folder.
     file_of_name = {_fold_case(name): file for file, name in found.items()}

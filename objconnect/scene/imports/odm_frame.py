@@ -53,8 +53,8 @@ _ODM_FILE: Final = "image_list.txt"
 _MAX_ORIGIN_DISTANCE_M: Final = 100_000.0
 # Two files hold one reconstruction if a similarity maps their poses within these tolerances (m,
 # radians, share of the extent) with a scale this near to one.
-_SAME_M, _SAME_RAD, _SAME_PART, _SAME_SCALE = 0.02, 2e-3, 1e-3, 0.01
-# Axes closer than this (radians) count as equal: over a flight they differ by centimetres.
+_SAME_M, _SAME_RAD, _SAME_SHARE, _SAME_SCALE = 0.02, 2e-3, 1e-3, 0.01
+# Axes closer than this (radians) are treated as equal: over a flight they differ by centimetres.
 _SMALL_TURN: Final = 2e-4
 
 
@@ -65,14 +65,14 @@ class Shots:
     Attributes:
         names: file names.
         world_from_cam: (N, 4, 4) in the frame of the file.
-        measured: (N, 3) GPS positions, metres east, north and up; NaN if not measured.
+        gps_positions: (N, 3) metres east, north and up; NaN if not measured.
         origin: geodetic origin of the world.
         frame: frame that the file states; None if it states none.
     """
 
     names: Sequence[str]
     world_from_cam: Array
-    measured: Array
+    gps_positions: Array
     origin: Geodetic
     frame: CoordinateFrame | None = None
 
@@ -82,7 +82,7 @@ class Shots:
         return self.world_from_cam[:, :3, 3]
 
 
-def topocentric(
+def convert_to_topocentric(
     path: Path, shots: Shots, sibling: Shots | None, stated: CoordinateFrame | None = None
 ) -> Shots:
     """Return shots in metres east, north and up from their origin.
@@ -97,23 +97,23 @@ def topocentric(
         InputError: the frame of the file is unknown, or contradicts the files beside it or the
             user.
     """
-    if not _is_sane(shots) or not len(shots.names):
+    if not _has_finite_poses(shots) or not len(shots.names):
         return shots  # unchanged, because ``check_poses`` reports the error
     if path.name == TOPOCENTRIC:
         return _check_without_coords(path, shots, stated)
-    if sibling is not None and not _is_sane(sibling):
+    if sibling is not None and not _has_finite_poses(sibling):
         raise InputError(f"{path}: {TOPOCENTRIC} beside it has a pose that is not finite")
     if sibling is not None:
         topocentric_shots = _take_from_sibling(path, shots, sibling, stated)
         if topocentric_shots is not None:
             return topocentric_shots
-    system = _system_of(path)
+    system = _find_system(path)
     if system is not None:
         return _undo_system(path, shots, *system, stated)
     return _check_without_coords(path, shots, stated)
 
 
-def _is_sane(shots: Shots) -> bool:
+def _has_finite_poses(shots: Shots) -> bool:
     return bool((np.abs(shots.world_from_cam) <= FARTHEST_M).all())
 
 
@@ -136,8 +136,8 @@ def _take_from_sibling(
         return None
     if not is_same_place(shots.origin, sibling.origin, _SAME_M):
         raise InputError(
-            f"{path}: its reference_lla is not that of {TOPOCENTRIC} beside it: remove the file of "
-            "the other reconstruction"
+            f"{path}: its reference_lla differs from that of {TOPOCENTRIC} beside it: remove the "
+            "file of the other reconstruction"
         )
     topocentric_poses = sibling.world_from_cam[[row[name] for name in shots.names]]
     if np.allclose(topocentric_poses, shots.world_from_cam, rtol=0, atol=1e-6):
@@ -145,7 +145,7 @@ def _take_from_sibling(
         return shots
     if not _is_transformed(shots.world_from_cam, topocentric_poses):
         raise InputError(
-            f"{path} and {TOPOCENTRIC} beside it are of two reconstructions: give the latter, or "
+            f"{path} and {TOPOCENTRIC} beside it hold two reconstructions: give {TOPOCENTRIC}, or "
             "move one of the files to another folder"
         )
     _require_agreement(path, {f"{TOPOCENTRIC} beside it": "projected", _OPTION: stated})
@@ -173,10 +173,10 @@ def _is_transformed(projected: Array, enu_poses: Array) -> bool:
     spread = float((enu_centres**2).sum())
     scale = float((projected_centres * enu_centres).sum()) / spread if spread > 0 else 1.0
     distance = float(np.abs(projected_centres - scale * enu_centres).max())
-    return abs(scale - 1) < _SAME_SCALE and distance < _SAME_M + _SAME_PART * extent
+    return abs(scale - 1) < _SAME_SCALE and distance < _SAME_M + _SAME_SHARE * extent
 
 
-def _system_of(path: Path) -> tuple[NamedSystem, Array] | None:
+def _find_system(path: Path) -> tuple[NamedSystem, Array] | None:
     """Return the projected system of ODM's project and its offset (2,), from coords.txt."""
     # The path is made absolute, because ``parent.parent`` of a relative one may equal ``parent``.
     parent = path.parent.resolve()
@@ -205,14 +205,14 @@ def _undo_system(
     """Return the shots with ODM's transform undone, if the file was transformed."""
     linear, shift = _export_transform(path, shots.origin, system, offset)
     turn = math.atan2(linear[1, 0], linear[0, 0])
-    back = _undo_transform(shots, linear, shift)
-    difference = float(np.abs(back.world_from_cam - shots.world_from_cam).max())
+    topocentric_shots = _undo_transform(shots, linear, shift)
+    difference = float(np.abs(topocentric_shots.world_from_cam - shots.world_from_cam).max())
     if difference < _SAME_M and abs(turn) < _SMALL_TURN:
-        return back
+        return topocentric_shots
     if _find_frame(path, shots, turn, stated, system.projection.name).value == "topocentric":
         return _require_near_origin(path, shots)
     log.warning("%s is in %s: its poses are transformed back", path, system.projection.name)
-    return _require_near_origin(path, back)
+    return _require_near_origin(path, topocentric_shots)
 
 
 def _export_transform(
@@ -242,7 +242,7 @@ def _undo_transform(shots: Shots, linear: Array, shift: Array) -> Shots:
 
 
 def _check_without_coords(path: Path, shots: Shots, stated: CoordinateFrame | None) -> Shots:
-    """Check the frame of a file without coords.txt beside it, or whose name states the frame."""
+    """Check the frame of a file that has no coords.txt beside it or whose name states the frame."""
     _require_near_origin(path, shots)
     zone = utm_zone(shots.origin.longitude)
     grid = f"a UTM grid, such as zone {zone}"
@@ -270,7 +270,7 @@ def _find_frame(
     Raises:
         InputError: no source states the frame, or two contradict each other.
     """
-    axes = infer_axes(shots.centres[:, :2], shots.measured[:, :2], turn)
+    axes = infer_axes(shots.centres[:, :2], shots.gps_positions[:, :2], turn)
     why, gps_frame = axes.why, None
     if axes.value is not None and abs(turn) > _SMALL_TURN:
         gps_frame = _FRAME_OF_AXES[axes.value]

@@ -22,7 +22,7 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.geodesy import Geodetic, is_on_earth, is_same_place
 from objconnect.scene.imports.lens import LARGEST_SIDE, LONGEST_FOCAL, BrownLens, require_inside
-from objconnect.scene.imports.odm_frame import TOPOCENTRIC, Shots, topocentric
+from objconnect.scene.imports.odm_frame import TOPOCENTRIC, Shots, convert_to_topocentric
 from objconnect.scene.imports.poses import (
     CoordinateFrame,
     ForeignPoses,
@@ -131,10 +131,11 @@ def _read(path: Path, frame: CoordinateFrame | None = None) -> ForeignPoses:
     shots, matrices, origin = _shots(path, best), _matrices(best), None
     if shots is None and frame is not None:
         raise InputError(
-            f"{path} has no position in reference_lla, and GPS places it: leave out --poses-frame"
+            f"{path} has no position in reference_lla, so GPS georegisters it: leave out "
+            "--poses-frame"
         )
     if shots is not None:
-        shots = topocentric(path, shots, _read_sibling(path), frame)
+        shots = convert_to_topocentric(path, shots, _read_sibling(path), frame)
         matrices, origin = shots.world_from_cam, shots.origin
     return check_poses(
         path,
@@ -204,7 +205,7 @@ def _origin(path: Path, stated: _Reference | None) -> Geodetic | None:
         raise InputError(f"{path}: reference_lla is not a place on earth")
     if other is not None and not is_same_place(origin, other.place):
         raise InputError(
-            f"{path}: its reference_lla is not that of {file.name} beside it: "
+            f"{path}: its reference_lla differs from that of {file.name} beside it: "
             "remove the file of the other reconstruction"
         )
     return origin

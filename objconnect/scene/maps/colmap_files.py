@@ -5,7 +5,7 @@ allocates as much memory as a damaged count claims. This reader compares every c
 that are left before it allocates anything.
 
 The layout is the binary one of https://colmap.github.io/format.html. ``images.bin`` holds the pose
-of every image, also if rigs and frames are written beside it.
+of every image, even if the model has files of rigs and frames.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from objconnect.scene.geometry.camera import MODELS, Camera
 from objconnect.scene.geometry.colmap_models import (
     CONVERTIBLE_MODELS,
     MODEL_IDS,
-    equal_model,
+    convert_model,
     parameter_count,
 )
 from objconnect.scene.geometry.geodesy import FARTHEST_M
@@ -163,7 +163,7 @@ def _camera(reader: _Reader, model_id: int, width: int, height: int) -> Camera:
     params = struct.unpack_from(f"<{count}d", reader.data, reader.take(8 * count))
     if not all(map(math.isfinite, params)):
         raise InputError(f"camera parameters must be finite, got {params}")
-    model, params = equal_model(model, params)
+    model, params = convert_model(model, params)
     return Camera(model, width, height, params)
 
 
@@ -193,12 +193,12 @@ def _read_images(
             camera=cameras[int(record[8])],
             cam_from_world=Pose.from_quaternion(quaternion, translation).matrix().numpy(),
             xy=np.stack([observed["x"], observed["y"]], -1),
-            point_rows=_rows_of(observed["point"], point_ids, path, name),
+            point_rows=_find_rows(observed["point"], point_ids, path, name),
         )
     return images
 
 
-def _rows_of(
+def _find_rows(
     observed: NDArray[np.uint64], ids: NDArray[np.uint64], path: Path, name: str
 ) -> NDArray[np.int64]:
     """Return the row of each observed identifier in the sorted identifiers, -1 for no point."""

@@ -78,7 +78,7 @@ def features_key(photographs: Mapping[str, str], options: str) -> str:
         photographs: digest of each photograph's bytes by name.
         options: options of the extractor as text.
     """
-    # The text stays that of earlier versions, whose files remain valid.
+    # The text must not change, because existing files hold its digest.
     return sha256(f"{list(photographs.items())} {options} None ")
 
 
@@ -114,7 +114,8 @@ def write_features(path: Path, features: Mapping[str, Features], inputs_digest: 
 class FeatureFile(Mapping[str, Features]):
     """A mapping from image name to features that reads from the file on each access.
 
-    It caches nothing. The file stays open and may be removed meanwhile. Threads may share it.
+    It caches nothing. The file stays open, and may be removed while it is. Threads may share the
+    mapping.
 
     Attributes:
         path: path of the file.

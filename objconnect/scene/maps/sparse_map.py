@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objconnect.scene.geometry.camera import Camera
-from objconnect.scene.geometry.nearest import Nearest
+from objconnect.scene.geometry.nearest import NearestNeighbours
 from objconnect.scene.storage.digests import sha256
 
 if TYPE_CHECKING:
     from objconnect.scene.geometry.pose import Pose
 
-# Number of nearest points whose median height is that of the ground.
+# Number of nearest points whose median height is taken as the height of the ground.
 _GROUND_POINTS = 50
 
 
@@ -94,7 +94,7 @@ class SparseMap:
         nearest = self._nearest_points(position[:2], _GROUND_POINTS)
         return float(position[2] - np.median(self.xyz[nearest, 2]))
 
-    def without(self, removed: NDArray[np.bool_]) -> SparseMap:
+    def drop_points(self, removed: NDArray[np.bool_]) -> SparseMap:
         """Return the map without the points of a mask (M,).
 
         Keypoints that observed a removed point stay and observe none.
@@ -106,9 +106,13 @@ class SparseMap:
             )
             for name, image in self.images.items()
         }
-        kept = ~removed
+        remaining = ~removed
         return SparseMap(
-            images, self.xyz[kept], self.rgb[kept], self.error[kept], self.track_length[kept]
+            images,
+            self.xyz[remaining],
+            self.rgb[remaining],
+            self.error[remaining],
+            self.track_length[remaining],
         )
 
     def transform(self, similarity: NDArray[np.float64]) -> SparseMap:
@@ -124,8 +128,8 @@ class SparseMap:
         return replace(self, images=images, xyz=self.xyz @ linear.T + similarity[:, 3])
 
     @cached_property
-    def _nearest_points(self) -> Nearest:
-        return Nearest(self.xyz[:, :2])
+    def _nearest_points(self) -> NearestNeighbours:
+        return NearestNeighbours(self.xyz[:, :2])
 
     @cached_property
     def sha256(self) -> str:

@@ -67,8 +67,8 @@ def read_degrees(value: object, axis: Axis) -> Reading[float]:
     """Return an angle without its hemisphere, degrees from 0 to the limit of the axis.
 
     Args:
-        value: one to three numbers, or a text of them. Only one may have a fraction; those after it
-            must be missing, zero or 0/0.
+        value: one to three numbers, or a text of them. Only one may have a fraction; the numbers
+            after it must be missing, zero or 0/0.
         axis: latitude or longitude.
     """
     if isinstance(value, str | bytes):

@@ -118,9 +118,9 @@ def _is_near(track: PairedTrack, order: Order, map_place: Pair | None) -> bool:
 
 
 def _agrees_with_home(track: PairedTrack, order: Order) -> bool:
-    here = to_lat_lon(_median_pair(track.pairs), order)
+    position = to_lat_lon(_median_pair(track.pairs), order)
     homes = [*track.home_places, *(to_lat_lon(home, order) for home in track.homes)]
-    return all(ground_distance(here, home) <= REACH_M for home in homes)
+    return all(ground_distance(position, home) <= REACH_M for home in homes)
 
 
 def _select_by_distance(track: PairedTrack, orders: Sequence[Order]) -> list[Order]:
@@ -187,10 +187,10 @@ def drop_jumps(seconds: Sequence[float], places: Sequence[Pair | None]) -> list[
         window = range(max(0, k - _NEIGHBOURS), min(len(known_rows), k + _NEIGHBOURS + 1))
         span = seconds[known_rows[window[-1]]] - seconds[known_rows[window[0]]]
         middle = _median_pair([known_places[other] for other in window])
-        here = known_places[k]
+        position = known_places[k]
         if (
-            ground_distance(here, middle) > _JUMP_M + _MAX_SPEED * span
-            or ground_distance(here, track_middle) > REACH_M
+            ground_distance(position, middle) > _JUMP_M + _MAX_SPEED * span
+            or ground_distance(position, track_middle) > REACH_M
         ):
             plausible[row] = None
     return plausible

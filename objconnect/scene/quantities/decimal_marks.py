@@ -21,7 +21,7 @@ class DecimalMarks:
 
     Attributes:
         comma: whether a comma is a decimal mark.
-        point: whether a point is one, also before three digits.
+        point: whether a point is a decimal mark, even before three digits.
         doubt: why commas are not understood; empty if there is no doubt.
     """
 

@@ -117,12 +117,12 @@ def read_focal(detail: Mapping[str, object], size: Size, lens: Lens | None = Non
     common, zoomed = _common_values(sources), to_number(detail.get("DigitalZoomRatio")) > 1
     # Fields in pixels depend on the size, which a program may have changed. A changed size
     # and a digital zoom have the same effect on them.
-    checked = (
+    size_confirmed = (
         all(one.size_confirmed for one in sources)
         if zoomed
         else any(one.size_confirmed for one in sources)
     )
-    if len(common) == 1 and checked:
+    if len(common) == 1 and size_confirmed:
         calibration_applies = lens is None or _is_near(lens.focal, common[0], _SOURCE_TOLERANCE)
         return FocalLength(
             known(common[0], sources[0].name), calibration_applies=calibration_applies

@@ -12,8 +12,8 @@ from objconnect.scene.quantities.reading import Reading, known, unknown
 NO_UNIT: Final = "no unit"
 """The doubt about a band whose heights have no unit."""
 
-# Units whose lengths differ relatively by less than this count as equal; international and US
-# survey feet (2e-6) do.
+# Units whose lengths differ relatively by less than this are treated as equal, for example
+# international and US survey feet (2e-6).
 _UNIT_TOLERANCE = 1e-5
 
 
@@ -63,7 +63,7 @@ def metres_of_band(
     for other, other_m in others.items():
         if length and other_m and abs(length / other_m - 1) > _UNIT_TOLERANCE:
             stated = repr(named[:40]) if named else f"of {length:g} m"
-            return unknown("the band's unit", f"it is {stated}, that of {other} {other_m:g} m")
+            return unknown("the band's unit", f"it is {stated}, in {other} it is {other_m:g} m")
     length = length or key
     if length is None:
         return known(BandToMetres(scale, offset), "the band", NO_UNIT)

@@ -26,7 +26,7 @@ _REMARK_SHARE, _REMARK_M = 0.01, 1
 # Heights of 0 between others are reported if the number of pixels within a metre of 0, divided by
 # that of pixels of exactly 0, is at most this. In rasters with steps of 0.1 m, heights of exactly 0
 # are common.
-_MAX_CROWD = 4
+_MAX_ZERO_RATIO = 4
 # Smallest number of pixels of a no-data constant, and their smallest share.
 _MIN_PIXELS, _MIN_SHARE = 16, 1e-4
 # Largest number of pixels within ``_STEP_M`` above a low constant, or within ``_CLIFF_M`` below a
@@ -36,7 +36,7 @@ _MOST_HOLES = 4
 # A raster is a synthetic surface if its heights are constants in fewer steps of a metre than this,
 # or in a smaller share of the steps of their range.
 _MIN_STEPS, _MIN_STEP_SHARE = 5, 0.5
-# Heights next to missing data that are this far outside all others (m) come from resampling.
+# heights next to missing data that are this far outside all others (m) come from resampling.
 _BELOW_M, _ABOVE_M = 10.0, 100.0
 # The lowest and highest ground is taken from pixels farther than this from no data (pixels).
 _MARGIN_PX = 2
@@ -73,7 +73,7 @@ class Histogram:
         np.maximum.at(self.high, steps, heights)
 
     def add_edge(self, heights: Heights) -> None:
-        """Remember finite heights at the edge of the raster."""
+        """Add finite heights at the edge of the raster."""
         self.edge.update(np.unique(heights).tolist())
 
 
@@ -84,7 +84,7 @@ class Hole:
     Attributes:
         height: the height, metres.
         share: share of the pixels that have it.
-        sure: whether it is no data; otherwise it may be a plain.
+        sure: whether it certainly means no data; otherwise it may be a plain.
         relation: its relation to the other heights, a phrase for messages.
         remark: whether it may be water; it is then only reported and not removed.
     """
@@ -100,8 +100,8 @@ def find_holes(histogram: Histogram) -> list[Hole]:
     """Return the constant heights of many pixels that lie far below or above all others.
 
     A flat plain with flat-roofed towers has the same histogram if the plain fills most of the
-    raster; it is not removed. Holes above 0 that fill most of the raster are not sure. Heights of
-    0 a little below all others, or between them, may be the sea and are only reported.
+    raster, so holes above 0 that fill most of the raster are uncertain. Heights of 0 a little below
+    all others, or between them, may be the sea and are only reported.
     """
     counts = histogram.counts.copy()
     total = int(counts.sum())
@@ -122,8 +122,8 @@ def find_holes(histogram: Histogram) -> list[Hole]:
         ):
             break
         if counts[first + 1 : first + 1 + _STEP_M].sum() > _MAX_BETWEEN_SHARE * counts[first]:
-            near = counts[first + 1 : first + 1 + _REMARK_M].sum()
-            if height == 0 and not near and share >= _REMARK_SHARE:
+            higher = counts[first + 1 : first + 1 + _REMARK_M].sum()
+            if height == 0 and not higher and share >= _REMARK_SHARE:
                 found.append(Hole(height, float(share), False, "below all others", remark=True))
             break
         found.append(Hole(height, float(share), sure=counts[first] <= rest or height <= 0))
@@ -143,8 +143,8 @@ def _find_above(histogram: Histogram, counts: NDArray[np.int64], total: int) -> 
     height, share = float(histogram.high[last]), counts[last] / total
     constant = histogram.low[last] == histogram.high[last] and height in histogram.edge
     enough = counts[last] >= _MIN_PIXELS and share >= _MIN_SHARE
-    near = counts[max(0, last - _CLIFF_M) : last].sum() > _MAX_BETWEEN_SHARE * counts[last]
-    if not (constant and enough) or near or _is_synthetic(histogram, steps[:-1]):
+    has_slope = counts[max(0, last - _CLIFF_M) : last].sum() > _MAX_BETWEEN_SHARE * counts[last]
+    if not (constant and enough) or has_slope or _is_synthetic(histogram, steps[:-1]):
         return []
     sure = bool(2 * counts[last] <= counts.sum())
     counts[last] = 0
@@ -154,11 +154,11 @@ def _find_above(histogram: Histogram, counts: NDArray[np.int64], total: int) -> 
 def _find_zeros(histogram: Histogram, counts: NDArray[np.int64], total: int) -> list[Hole]:
     """Return many heights of exactly 0 between others, as a remark."""
     zero = round(-LOWEST_M)
-    below = np.flatnonzero(counts[:zero])
+    steps_below = np.flatnonzero(counts[:zero])
     share = histogram.zeros / total
     near_zero = int(counts[zero - 1 : zero + 1].sum())
-    only_constants = bool((histogram.low[below] == histogram.high[below]).all())
-    if only_constants or share < _REMARK_SHARE or _MAX_CROWD * histogram.zeros < near_zero:
+    only_constants = bool((histogram.low[steps_below] == histogram.high[steps_below]).all())
+    if only_constants or share < _REMARK_SHARE or _MAX_ZERO_RATIO * histogram.zeros < near_zero:
         return []
     return [Hole(0.0, float(share), False, "between the others", remark=True)]
 
@@ -181,19 +181,20 @@ class Ground:
 
 
 def find_ground(
-    strips: Callable[[], Iterator[Heights]], declared: bool, pixel_m: float, where: str
+    strips: Callable[[], Iterator[Heights]], declares_no_data: bool, pixel_m: float, where: str
 ) -> Ground:
     """Find the no-data heights that a surface model does not declare.
 
     Args:
         strips: returns pieces of the raster from top to bottom, (H, W) metres; NaN where there is
             declared no data or an impossible height.
-        declared: whether the file declares a no-data value.
+        declares_no_data: whether the file declares a no-data value.
         pixel_m: size of a pixel on the ground, metres.
         where: name of the raster in messages.
 
     Raises:
-        InputError: most pixels have one height far from all others, no data or a plain.
+        InputError: most pixels have one height far from all others, which may mean no data or be a
+            plain.
     """
     histogram, unknown, last = Histogram(), False, None
     for strip in strips():
@@ -213,7 +214,7 @@ def find_ground(
         fact = f"{share}, {hole.relation}"
         if hole.remark:
             doubts.append(f"{fact}: if it is no data, gdal_edit -a_nodata declares it")
-        elif not hole.sure and not declared:
+        elif not hole.sure and not declares_no_data:
             raise InputError(
                 f"{where}: {fact}: no data or a plain. If it is no data, run gdal_edit -a_nodata "
                 f"{hole.height:g}; if it is a plain, declare another value with gdal_edit -a_nodata"
@@ -234,7 +235,7 @@ def find_ground(
 
 
 def _ground_range(strips: Iterator[Heights], values: list[float]) -> tuple[float, float]:
-    """Return the lowest and the highest height that is not next to missing data.
+    """Return the lowest and the highest height of pixels that are not next to missing data.
 
     With too few such pixels they are ``LOWEST_M`` and ``HIGHEST_M``.
     """
@@ -250,22 +251,22 @@ def _ground_range(strips: Iterator[Heights], values: list[float]) -> tuple[float
 
 def _overlap_strips(strips: Iterator[Heights]) -> Iterator[tuple[Heights, slice]]:
     """Yield strips with rows of their neighbours, and the slice of rows that are new."""
-    before: Heights | None = None
+    last_rows: Heights | None = None
     for strip in strips:
-        joined = strip if before is None else np.concatenate([before, strip])
-        yield joined, slice(0 if before is None else _MARGIN_PX, -_MARGIN_PX)
-        before = joined[-2 * _MARGIN_PX :]
-    if before is not None:
-        yield before, slice(-_MARGIN_PX, None)
+        joined = strip if last_rows is None else np.concatenate([last_rows, strip])
+        yield joined, slice(0 if last_rows is None else _MARGIN_PX, -_MARGIN_PX)
+        last_rows = joined[-2 * _MARGIN_PX :]
+    if last_rows is not None:
+        yield last_rows, slice(-_MARGIN_PX, None)
 
 
 def _dilate(unknown: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the pixels within ``_MARGIN_PX`` pixels of an unknown one."""
-    near = np.pad(unknown, _MARGIN_PX)
+    dilated = np.pad(unknown, _MARGIN_PX)
     for axis, size in enumerate(unknown.shape):
-        parts = [np.take(near, range(k, k + size), axis) for k in range(2 * _MARGIN_PX + 1)]
-        near = np.logical_or.reduce(parts)
-    return np.asarray(near)
+        parts = [np.take(dilated, range(k, k + size), axis) for k in range(2 * _MARGIN_PX + 1)]
+        dilated = np.logical_or.reduce(parts)
+    return np.asarray(dilated)
 
 
 def _is_synthetic(histogram: Histogram, others: NDArray[np.intp]) -> bool:

@@ -42,31 +42,31 @@ def convergence(place: Geodetic, zone: int) -> float:
 
 
 def infer_axes(
-    positions: NDArray[np.float64], measured: NDArray[np.float64], grid_turn: float
+    positions: NDArray[np.float64], gps_positions: NDArray[np.float64], grid_turn: float
 ) -> Reading[Axes]:
     """Infer the horizontal axes of positions from GPS.
 
     Args:
         positions: (N, 2) metres along unknown axes, with any shift.
-        measured: (N, 2) metres east and north; NaN where not measured.
+        gps_positions: (N, 2) metres east and north; NaN where not measured.
         grid_turn: rotation of the grid against east and north, radians (``convergence``).
 
     Returns:
         The axes; unknown if the positions fit both or neither.
     """
     source = "gps_position"
-    is_measured = (np.abs(measured) <= FARTHEST_M).all(1)
+    is_measured = (np.abs(gps_positions) <= FARTHEST_M).all(1)
     if is_measured.sum() < 3:
         return unknown(
             source, f"{source} is known for {is_measured.sum()} photographs, and 3 are needed"
         )
-    centred, gps = positions[is_measured], measured[is_measured]
+    centred, gps = positions[is_measured], gps_positions[is_measured]
     centred, gps = centred - centred.mean(0), gps - gps.mean(0)
     spread = float(np.linalg.norm(gps))
     if not spread > 1e-6:
         return unknown(source, f"{source} is the same for all photographs")
-    across = float((gps[:, 0] * centred[:, 1] - gps[:, 1] * centred[:, 0]).sum())
-    turn = math.atan2(across, float((gps * centred).sum()))
+    cross = float((gps[:, 0] * centred[:, 1] - gps[:, 1] * centred[:, 0]).sum())
+    turn = math.atan2(cross, float((gps * centred).sum()))
     cos, sin = math.cos(turn), math.sin(turn)
     residual = centred - gps @ np.array([[cos, sin], [-sin, cos]])
     degrees_of_freedom = 2 * len(centred) - 4

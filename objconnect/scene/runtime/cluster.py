@@ -205,13 +205,13 @@ def _import_ray() -> Any:
 @contextmanager
 def _keep_handler() -> Iterator[None]:
     """Restore the handler of SIGTERM after the block: Ray installs one that skips our clean-up."""
-    before = signal.getsignal(signal.SIGTERM)
+    handler = signal.getsignal(signal.SIGTERM)
     try:
         yield
     finally:
         # Only the main thread may set a handler; None means it was not installed from Python.
-        if before is not None and threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGTERM, before)
+        if handler is not None and threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, handler)
 
 
 def _require_answer(address: str) -> None:
@@ -284,9 +284,9 @@ def _versions() -> dict[str, str]:
 
 
 def _describe_difference(wanted: dict[str, str]) -> str:
-    here = _versions()
-    package = next(p for p in _NUMERIC_PACKAGES if here.get(p) != wanted.get(p))
+    local = _versions()
+    package = next(p for p in _NUMERIC_PACKAGES if local.get(p) != wanted.get(p))
     return (
-        f"node {os.uname().nodename} has {package} {here.get(package, 'not')} and this machine "
+        f"node {os.uname().nodename} has {package} {local.get(package, 'not')} and this machine "
         f"{wanted.get(package, 'not')}: install the same on every node"
     )

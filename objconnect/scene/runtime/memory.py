@@ -21,7 +21,7 @@ def resident_bytes() -> int:
 
 
 def reset_peak() -> None:
-    """Reset the peak if the system allows it; else it counts from the start of the process."""
+    """Reset the peak if the system allows it; else it remains that of the whole process."""
     try:
         _CLEAR.write_text("5")  # resets VmHWM
     except OSError:

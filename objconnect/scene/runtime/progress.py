@@ -83,18 +83,18 @@ def progress_bar(
 @contextmanager
 def one_step(clock: Callable[[], float] = monotonic) -> Iterator[None]:
     """Mark a block as one step of a bar, from whose start ``progress_within`` counts time."""
-    before = _STEP_START.set(clock())
+    token = _STEP_START.set(clock())
     try:
         yield
     finally:
-        _STEP_START.reset(before)
+        _STEP_START.reset(token)
 
 
 @contextmanager
 def progress_within(
     what: str, total: int, clock: Callable[[], float] = monotonic
 ) -> Iterator[Callable[[int], None]]:
-    """Show progress inside one step of a bar when that step has lasted ``PATIENCE_S``.
+    """Show progress inside one step of a bar after that step has lasted ``PATIENCE_S``.
 
     Nothing is shown outside of ``one_step`` or without a bar on a terminal.
 
@@ -103,12 +103,12 @@ def progress_within(
         total: number of its steps.
         clock: clock of ``one_step``.
     """
-    within = _DelayedBar(what, total, clock)
+    bar = _DelayedBar(what, total, clock)
     try:
-        within(0)
-        yield within
+        bar(0)
+        yield bar
     finally:
-        within.end()
+        bar.end()
 
 
 class _DelayedBar:
@@ -154,7 +154,7 @@ class _LogLines:
         self._what, self._total, self._clock = what, total, clock
         self._last = clock() + _FIRST_S - _EVERY_S
         self._shown = 0
-        # Time and steps of the first call: steps of an earlier run do not count for the pace.
+        # Time and steps of the first call: the pace leaves out the steps of an earlier run.
         self._first: tuple[float, int] | None = None
 
     def __call__(self, done: int) -> None:

@@ -18,12 +18,12 @@ def torch_threads(count: int) -> Iterator[None]:
     """Set the number of torch's threads for the block, also in threads that start in it."""
     import torch
 
-    before = torch.get_num_threads()
+    old_count = torch.get_num_threads()
     torch.set_num_threads(count)
     try:
         yield
     finally:
-        torch.set_num_threads(before)
+        torch.set_num_threads(old_count)
 
 
 def map_in_threads(

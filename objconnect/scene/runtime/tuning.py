@@ -1,8 +1,8 @@
 """Tuning of memory, garbage collector and threads of the whole process.
 
 The command line runs within ``ProcessTuning``. Importing this package changes nothing in a process:
-the other functions of this module, which mark where memory can be trimmed or objects frozen, do
-nothing unless the process is tuned.
+the functions of this module that trim memory, release code or freeze objects do nothing unless the
+process is tuned.
 
 >>> with ProcessTuning():  # in a program of your own
 ...     is_tuned()
@@ -30,9 +30,9 @@ _MAPS = Path("/proc/self/maps")
 _TRIM_THRESHOLD: Final = -1
 _MMAP_THRESHOLD: Final = -3
 # Trim threshold: bytes that may stay free at the end of the heap.
-_FREE_AT_END: Final = 1 << 30
+_MAX_FREE_BYTES: Final = 1 << 30
 # Mmap threshold: larger blocks are mapped separately. It is glibc's maximum.
-_BLOCK: Final = 1 << 25
+_MAX_HEAP_BLOCK_BYTES: Final = 1 << 25
 # MADV_DONTNEED of madvise.
 _DONTNEED: Final = 4
 # oneDNN, torch's library on CPUs, compiles a convolution for each image size and caches the last
@@ -46,7 +46,7 @@ class ProcessTuning:
     """A context that tunes the process.
 
     It caches few compiled convolutions and hides Pillow's warnings. Freed memory stays allocated
-    for the next query up to a bound (``retain_heap``, ``return_freed_above``). The garbage
+    for the next query up to a bound (``retain_heap``, ``trim_heap_above``). The garbage
     collector skips the objects of a prepared localizer (``freeze_objects``). The code of a
     finished compiler is released (``release_code``). Threads for compiled loops are kept
     (``worker_threads``). Environment variables of the user take precedence.
@@ -67,23 +67,23 @@ class ProcessTuning:
             warnings.filterwarnings("ignore", module=r"PIL\.")
             self.threads = restored.enter_context(ThreadPoolExecutor(os.cpu_count() or 1))
             self._restored = restored.pop_all()
-        _entered.append(self)
+        _active_tunings.append(self)
         return self
 
     def __exit__(self, *error: object) -> None:
         """Restore the process."""
-        _entered.remove(self)
+        _active_tunings.remove(self)
         self._restored.close()
-        if not _entered:
+        if not _active_tunings:
             gc.unfreeze()
 
 
-_entered: Final[list[ProcessTuning]] = []
+_active_tunings: Final[list[ProcessTuning]] = []
 
 
 def is_tuned() -> bool:
     """Return whether ``ProcessTuning`` is entered."""
-    return bool(_entered)
+    return bool(_active_tunings)
 
 
 def _skip_outside_tuning(function: Callable[Arguments, None]) -> Callable[Arguments, None]:
@@ -112,7 +112,7 @@ def trim_heap() -> None:
 
 
 @_skip_outside_tuning
-def return_freed_above(bound: int) -> None:
+def trim_heap_above(bound: int) -> None:
     """Return freed memory to the system if the process holds more than ``bound`` bytes.
 
     Below the bound it is kept, because allocating it again costs time.
@@ -125,9 +125,9 @@ def return_freed_above(bound: int) -> None:
 def retain_heap() -> None:
     """Keep freed memory for the next pass of a network, if the C library can.
 
-    glibc returns free memory at the end of its heap when it exceeds twice the largest block that
-    was ever freed. The feature maps of an image take about 50 MB, and allocating them again costs a
-    tenth of a query. ``trim_heap`` returns the memory. Thresholds of the environment take
+    glibc returns free memory at the end of its heap if it exceeds twice the largest block that was
+    ever freed. The feature maps of an image take about 50 MB, and allocating them again costs a
+    tenth of a query. ``trim_heap`` returns the memory. Thresholds in environment variables take
     precedence.
     """
     import ctypes
@@ -137,8 +137,8 @@ def retain_heap() -> None:
     try:
         mallopt = ctypes.CDLL(None).mallopt
         # Setting either threshold disables glibc's dynamic adjustment of both.
-        if mallopt(_MMAP_THRESHOLD, _BLOCK):
-            mallopt(_TRIM_THRESHOLD, _FREE_AT_END)
+        if mallopt(_MMAP_THRESHOLD, _MAX_HEAP_BLOCK_BYTES):
+            mallopt(_TRIM_THRESHOLD, _MAX_FREE_BYTES)
     except (AttributeError, OSError, TypeError):  # macOS, musl, Windows
         return
 
@@ -155,12 +155,12 @@ def release_code(library: str) -> None:
     import ctypes
 
     try:
-        mapped = _MAPS.read_text().splitlines()
+        mappings = _MAPS.read_text().splitlines()
         madvise = ctypes.CDLL(None).madvise
     except (AttributeError, OSError, TypeError):  # not Linux
         return
     madvise.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int)
-    for line in mapped:
+    for line in mappings:
         span, access, *_, file = line.split(maxsplit=5)
         # Only code pages are sure to equal the file.
         if access == "r-xp" and library in file.rpartition("/")[2]:
@@ -188,7 +188,7 @@ def worker_threads() -> Iterator[ThreadPoolExecutor]:
     wait for other work in it.
     """
     if is_tuned():
-        yield _entered[-1].threads
+        yield _active_tunings[-1].threads
         return
     with ThreadPoolExecutor(os.cpu_count() or 1) as threads:
         yield threads

@@ -12,13 +12,15 @@
 - ``hub``: downloads from the Hugging Face hub.
 - ``hdf5``, ``hdf5_writing``: safe reads of HDF5 files, and writes that survive a full disk.
 - ``packed``: texts compressed by xz.
-- ``images``, ``xmp``: photographs with EXIF and XMP.
+- ``images``, ``exif``, ``xmp``: pixels and metadata of photographs.
+- ``jpeg``: JPEG files without their metadata.
 - ``video``, ``subtitles``: video files and their subtitles.
 - ``names``: quoting of image names in text files.
 - ``tables``: CSV files with errors that name file and line.
 - ``listing``: the files of a folder that belong to the user.
 - ``provenance``: marks of pictures that this program drew.
-- ``records``, ``answers``: base classes of JSON records.
+- ``records``: the base class of JSON records.
+- ``answers``: records of poses in results files and journals.
 - ``lru_cache``: a cache bounded in bytes.
 - ``user_cache``: the folder of the user's caches.
 """

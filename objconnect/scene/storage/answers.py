@@ -25,6 +25,6 @@ class NamedRecord(Record):
 
 def pose_of(numbers: PoseNumbers) -> Pose:
     """Convert qw qx qy qz tx ty tz to a pose."""
-    from objconnect.scene.geometry.pose import Pose  # late: it loads torch
+    from objconnect.scene.geometry.pose import Pose  # imported here, because it loads torch
 
     return Pose.from_quaternion(numbers[:4], numbers[4:])

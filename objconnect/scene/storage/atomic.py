@@ -25,10 +25,10 @@ PARTIAL_SUFFIX: Final = ".partial"
 """Suffix of a file or folder that is being written."""
 
 ASIDE_SUFFIX: Final = ".aside"
-"""Suffix of a folder that holds the old version of one that is being replaced. If the process is
-killed, it may be the only copy."""
+"""Suffix of a folder that holds the old version of a folder that is being replaced. If the process
+is killed, this may be the only copy."""
 
-# A disk with less free space (bytes) counts as full.
+# A disk with less free space (bytes) is treated as full.
 _FULL_BYTES = 1 << 20
 # The mask is read by setting it: two threads at once would leave it at zero.
 _UMASK_LOCK: Final = Lock()
@@ -108,7 +108,7 @@ def write_text(path: Path, text: str) -> None:
     """Write a UTF-8 text file atomically.
 
     Raises:
-        InputError: the file cannot be written, as for ``atomic_write``.
+        InputError: the file cannot be written; see ``atomic_write``.
     """
     with atomic_write(path) as partial:
         partial.write_text(text, encoding="utf-8")
@@ -181,15 +181,15 @@ def _keep_others(old: Path, new: Path, owned: Collection[str]) -> None:
     """Link into ``new`` the files of ``old`` that are neither in ``new`` nor in ``owned``."""
     for path in sorted(old.rglob("*")):
         name = path.relative_to(old).as_posix()
-        kept = new / name
-        if os.path.lexists(kept) or name in owned:
+        target = new / name
+        if os.path.lexists(target) or name in owned:
             continue
         if path.is_dir() and not path.is_symlink():
             if not any(path.iterdir()):
-                kept.mkdir(parents=True)
+                target.mkdir(parents=True)
             continue
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        link_or_copy(path, kept)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        link_or_copy(path, target)
 
 
 def link_or_copy(old: Path, new: Path) -> None:

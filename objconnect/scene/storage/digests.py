@@ -1,4 +1,4 @@
-"""SHA-256 digests in hex of values and of files; those of files are cached between runs.
+"""SHA-256 digests in hex of values and of files; digests of files are cached between runs.
 
 The digest of a file is computed from its bytes. It is reused as long as device, inode, size and the
 times of the last change (to the nanosecond) are equal. A file that changes twice within one tick of
@@ -101,7 +101,7 @@ def digest(path: Path) -> str:
     """Return the SHA-256 of a file's bytes, in hex.
 
     Raises:
-        InputError: as for ``digests``.
+        InputError: for the reasons of ``digests``.
     """
     return digests([path])[0]
 
@@ -153,14 +153,14 @@ def digests_in(folder: Path, names: Iterable[str], missing: str | None = None) -
     return dict(zip(keys, digests((folder / name for name in keys), missing), strict=True))
 
 
-def require_unchanged(paths: Sequence[Path], before: Sequence[str]) -> None:
-    """Check that files still have the digests ``before``.
+def require_unchanged(paths: Sequence[Path], old_digests: Sequence[str]) -> None:
+    """Check that files still have their old digests.
 
     Raises:
-        InputError: a file was changed, or as for ``digests``.
+        InputError: a file was changed, or for the reasons of ``digests``.
     """
-    for path, was, now in zip(paths, before, digests(paths), strict=True):
-        if was != now:
+    for path, old, new in zip(paths, old_digests, digests(paths), strict=True):
+        if old != new:
             raise InputError(f"{path} was changed while it was in use: run the command again")
 
 
@@ -230,7 +230,7 @@ def _cache_folder() -> Path | None:
 
 
 def _limit_size(cache: Path) -> None:
-    """Empty the cache when it is too large."""
+    """Empty the cache if it is too large."""
     try:
         files = [file for file in os.scandir(cache) if file.name.endswith(_SUFFIX)]
         if sum(file.stat().st_size for file in files) > _MOST_BYTES:

@@ -83,7 +83,7 @@ class Exif:
         """Return whether the altitude refers to sea level instead of the ellipsoid."""
         return any(doubt.endswith(SEA_LEVEL_DOUBT) for doubt in self.place_doubts)
 
-    def above_ellipsoid(self, undulation_m: float) -> Exif:
+    def convert_to_ellipsoid(self, undulation_m: float) -> Exif:
         """Return the metadata with an altitude above sea level converted to the ellipsoid.
 
         Args:
@@ -147,14 +147,14 @@ def resize_file(source: Path, out: Path, longest: int, *, rotate_180: bool = Fal
             return
         size = (round(scale * width), round(scale * height))
         with open_image(source) as original:
-            kept = {key: original.info[key] for key in ("exif", "xmp") if key in original.info}
-        if len(kept.get("xmp", b"")) > _MAX_SEGMENT_BYTES:
-            del kept["xmp"]
-        if len(kept.get("exif", b"")) > _MAX_SEGMENT_BYTES:  # thumbnails or maker notes
-            kept["exif"] = _encode(read_exif(source), size).tobytes()
+            metadata = {key: original.info[key] for key in ("exif", "xmp") if key in original.info}
+        if len(metadata.get("xmp", b"")) > _MAX_SEGMENT_BYTES:
+            del metadata["xmp"]
+        if len(metadata.get("exif", b"")) > _MAX_SEGMENT_BYTES:  # thumbnails or maker notes
+            metadata["exif"] = _encode(read_exif(source), size).tobytes()
         picture = Image.fromarray(rgb[::-1, ::-1] if rotate_180 else rgb)
         smaller = picture.resize(size, Image.Resampling.LANCZOS)
-        smaller.save(partial, "JPEG", quality=95, subsampling=0, **kept)
+        smaller.save(partial, "JPEG", quality=95, subsampling=0, **metadata)
 
 
 def _encode(exif: Exif, size: tuple[int, int]) -> Image.Exif:

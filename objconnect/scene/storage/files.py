@@ -60,7 +60,7 @@ def require_folder(path: Path, what: str) -> None:
 
 
 def require_distinct(paths: Iterable[Path]) -> None:
-    """Refuse files or folders of which one is given twice, also by a symbolic link.
+    """Refuse files or folders of which one is given twice, even through a symbolic link.
 
     Raises:
         InputError: a path is given twice.

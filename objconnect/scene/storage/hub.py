@@ -45,15 +45,15 @@ def parse_address(address: Path, kind: Kind) -> tuple[str, str]:
 
 
 def download(
-    address: Path, kind: Kind, only: Sequence[str] | None = None, without: Sequence[str] = ()
+    address: Path, kind: Kind, include: Sequence[str] | None = None, exclude: Sequence[str] = ()
 ) -> Path:
     """Download the files of a repository at one commit, unless the library's cache holds them.
 
     Args:
         address: ``hf://OWNER/NAME@COMMIT``.
         kind: kind of the repository.
-        only: patterns of the files to download; None for all.
-        without: patterns of files that are not downloaded.
+        include: patterns of the files to download; None for all.
+        exclude: patterns of files that are not downloaded.
 
     Returns:
         The folder of the files.
@@ -72,8 +72,8 @@ def download(
                 repository,
                 repo_type=kind,
                 revision=commit,
-                allow_patterns=None if only is None else list(only),
-                ignore_patterns=list(without),
+                allow_patterns=None if include is None else list(include),
+                ignore_patterns=list(exclude),
             )
         )
     except errors.RevisionNotFoundError:

@@ -126,7 +126,7 @@ def check_photographs(root: Path, cameras: Mapping[str, Camera]) -> None:
         cameras: cameras by image name.
 
     Raises:
-        InputError: as for ``read_rgb``, about the first photograph with a fault.
+        InputError: for the reasons of ``read_rgb``; the message names the first such photograph.
     """
     for name, camera in cameras.items():
         read_rgb(root / name, camera)

@@ -12,8 +12,8 @@ from objconnect.scene.storage.files import require_readable
 _START, _SCAN, _END = b"\xff\xd8", 0xDA, b"\xff\xd9"
 _APPLICATIONS: Final = range(0xE0, 0xF0)
 _COMMENT: Final = 0xFE
-# Segments that tell how to decode the picture: JFIF, and Adobe's transform of colours.
-_KEPT: Final = ((0xE0, b"JFIF\0"), (0xEE, b"Adobe"))
+# Segments that are needed to decode the picture: JFIF, and Adobe's transform of colours.
+_DECODING_SEGMENTS: Final = ((0xE0, b"JFIF\0"), (0xEE, b"Adobe"))
 
 
 def read_bare_jpeg(path: Path) -> bytes:
@@ -39,22 +39,24 @@ def _strip(data: bytes) -> bytes | None:
     """Return the bytes without metadata; None if they are not a JPEG file."""
     if not data.startswith(_START):
         return None
-    kept, at = [_START], len(_START)
-    while at + 4 <= len(data) and data[at] == 0xFF:
-        marker, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
+    segments, offset = [_START], len(_START)
+    while offset + 4 <= len(data) and data[offset] == 0xFF:
+        marker, length = data[offset + 1], int.from_bytes(data[offset + 2 : offset + 4], "big")
         if marker == _SCAN:
             # Within compressed pixels, a byte 0xFF is never followed by the end's second byte.
-            end = data.find(_END, at)
-            return None if end < 0 else b"".join([*kept, data[at : end + len(_END)]])
-        segment = data[at : at + 2 + length]
+            end = data.find(_END, offset)
+            return None if end < 0 else b"".join([*segments, data[offset : end + len(_END)]])
+        segment = data[offset : offset + 2 + length]
         if not _is_metadata(marker, segment[4:]):
-            kept.append(segment)
-        at += 2 + length
+            segments.append(segment)
+        offset += 2 + length
     return None
 
 
 def _is_metadata(marker: int, content: bytes) -> bool:
     if marker == _COMMENT:
         return True
-    is_kept = any(marker == kind and content.startswith(words) for kind, words in _KEPT)
-    return marker in _APPLICATIONS and not is_kept
+    is_for_decoding = any(
+        marker == kind and content.startswith(words) for kind, words in _DECODING_SEGMENTS
+    )
+    return marker in _APPLICATIONS and not is_for_decoding

@@ -32,7 +32,7 @@ def make_folder_in_use(root: Path) -> tuple[Path, FileLock]:
         try:
             lock.acquire()
         except FileNotFoundError:
-            # Without its mark it looked abandoned, and another process has removed it.
+            # Another process took the folder without a mark for abandoned, and removed it.
             continue
         except OSError:
             shutil.rmtree(folder, ignore_errors=True)

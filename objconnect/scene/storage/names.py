@@ -81,11 +81,11 @@ def split_words(line: str) -> list[str]:
         >>> split_words('"my photo.jpg" 1.5 2')
         ['my photo.jpg', '1.5', '2']
     """
-    parts, at = [], 0
-    while (word := _WORD.search(line, at)) is not None:
-        text, at = word.group(), word.end()
+    parts, offset = [], 0
+    while (word := _WORD.search(line, offset)) is not None:
+        text, offset = word.group(), word.end()
         if text.startswith('"'):
-            text, at = _parse_quoted(line, word.start())
+            text, offset = _parse_quoted(line, word.start())
         parts.append(text)
     return parts
 
@@ -107,7 +107,8 @@ def split_name(line: str, columns: int) -> tuple[str, list[str]]:
         rest = line[end:].split()
     else:
         name, *rest = line.rsplit(maxsplit=columns)
-        # A name that ends with a number more likely means one column too many.
+        # If the last of several words of a name is a number, the line probably has one column too
+        # many.
         if name != (words_of := name.split())[0] and _is_number(words_of[-1]):
             rest = line.split()[1:]
     if len(rest) != columns:

@@ -24,8 +24,8 @@ class OutputFile:
     Attributes:
         path: file to write.
         mark: bytes among the first 4096 by which this program recognizes its own file. An existing
-            file without them is not replaced unless it is empty. An empty mark allows to replace
-            any file.
+            file without them is not replaced unless it is empty. With an empty mark, any file is
+            replaced.
     """
 
     path: Path
@@ -181,5 +181,5 @@ def _require_ours(output: OutputFile) -> None:
 def foreign_file_error(path: Path) -> WriteError:
     """Return the error for an output path with a file of another program."""
     return WriteError(
-        f"cannot write {path}: another file stands there: remove it or choose another output"
+        f"cannot write {path}: it is a file of another program: remove it or choose another output"
     )

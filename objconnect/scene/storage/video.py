@@ -112,7 +112,7 @@ def decode_frames(path: Path, rate_hz: float | None = None) -> Iterator[VideoFra
             yields all frames.
 
     Raises:
-        InputError: as for ``read_video``.
+        InputError: for the reasons of ``read_video``.
     """
     with _open(path) as (container, stream):
         start, next_s, seconds = None, 0.0, 0.0

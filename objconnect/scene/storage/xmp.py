@@ -1,4 +1,4 @@
-"""The XMP of a drone's photograph: attitude, height, RTK, lens and shutter.
+"""The XMP of a drone's photograph: attitude, position, RTK, lens, speed, shutter and panorama.
 
 The fields are DJI's in the namespace ``drone-dji``, listed in the manuals of Mavic 3 and Matrice 4
 ("Photo File: XMP Data List"). Autel's have the same names and meaning. Attitudes in namespaces of
@@ -162,10 +162,10 @@ class _Fields:
         ):
             self.foreign.add(f"{prefix}:{local}")
             return
-        before = self.texts.get(local, value)
+        old = self.texts.get(local, value)
         number = parse_number(value)
-        same = before == value or (number is not None and parse_number(before) == number)
-        self.texts[local] = before if same else f"{before} and {value}"[:_MAX_TEXT]
+        same = old == value or (number is not None and parse_number(old) == number)
+        self.texts[local] = old if same else f"{old} and {value}"[:_MAX_TEXT]
 
     def _refuse(self, *_: object) -> None:
         raise ValueError("XMP has no document type")

@@ -165,7 +165,7 @@ def test_outputs_lie_outside_the_scene(rendered: Scene) -> None:
 
 def test_a_file_of_somebody_else_is_kept(rendered: Scene, tmp_path: Path) -> None:
     (tmp_path / "forecast.html").write_text("<p>mine</p>")
-    with pytest.raises(InputError, match="another file stands there"):
+    with pytest.raises(InputError, match="it is a file of another program"):
         forecast(rendered.path, "nadir", create("sift", {}), tmp_path, QUICK)
     assert (tmp_path / "forecast.html").read_text() == "<p>mine</p>"
 

@@ -142,7 +142,7 @@ def test_exact_points_correct_the_model(tmp_path: Path) -> None:
     model, adjusted, points, text = fit(tmp_path, {}, set())
     assert {p.role for p in points.values()} == {"used"}
     assert worst_centre(model, adjusted) < 1e-3
-    assert adjusted.placed.level == "control"
+    assert adjusted.georegistration.level == "control"
     for name in model.names:
         assert (
             np.abs(
@@ -199,7 +199,7 @@ def test_few_points_shift_the_model(tmp_path: Path, names: str) -> None:
     model, adjusted, points, _ = fit(tmp_path, {}, checks)
     off = np.array([points[name].off for name in names])
     np.testing.assert_allclose(off.mean(0), 0, atol=1e-6)
-    assert adjusted.placed.level == "gps"
+    assert adjusted.georegistration.level == "gps"
     assert 0.1 < worst_centre(model, adjusted) < 3
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from objconnect.ingestion.photographs import make_photographs, read_flight, warn_of_doubts
 from objconnect.ingestion.positions import replace_positions
-from objconnect.ingestion.report import lenses_of
+from objconnect.ingestion.report import describe_lenses
 from objconnect.scene.geometry.camera import Camera
 from tests.objconnect.localization.pipeline.test_doubts import CONTRADICTION, FIELDS
 from tests.objconnect.scene.quantities import raw_exif as raw
@@ -59,7 +59,7 @@ def test_the_report_names_fields_that_contradict_each_other(folder: Path) -> Non
     photographs = make_photographs(read_flight(folder).images, 96, None)
     assert not any(photograph.focal_known for photograph in photographs)
     adjusted = _Adjusted({photograph.name: photograph.camera for photograph in photographs})
-    (lens,) = lenses_of(photographs, adjusted)  # type: ignore[arg-type]
+    (lens,) = describe_lenses(photographs, adjusted)  # type: ignore[arg-type]
     assert all(field in lens.origin for field in FIELDS)
     assert "no focal length in EXIF" not in lens.origin and "guessed" in lens.origin
     assert np.isfinite(photographs[0].camera.focal[0])

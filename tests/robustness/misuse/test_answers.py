@@ -35,7 +35,7 @@ from objconnect.scene.flights.textfiles import (
     read_poses,
 )
 from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu
-from objconnect.scene.geometry.nearest import Nearest
+from objconnect.scene.geometry.nearest import NearestNeighbours
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import By, Estimate, Prior, Query, Status
 from objconnect.scene.maps.colmap_files import read_model
@@ -150,7 +150,7 @@ def test_a_file_of_the_user_stays_and_one_of_ours_is_replaced(
     theirs = tmp_path / name
     theirs.write_text("name,mine\n")
     command = localizing(flight, photographs, tmp_path / "poses.txt")
-    assert "another file stands there" in expect_error(tmp_path, *command)
+    assert "it is a file of another program" in expect_error(tmp_path, *command)
     assert not method.seen, "before any work"
     theirs.unlink()
     for _ in range(2):
@@ -384,7 +384,7 @@ def test_what_lies_beyond_the_earth_is_refused(
 
 
 def test_the_nearest_of_huge_places() -> None:
-    nearest = Nearest(np.array([[1e300, 0.0], [0.0, 0.0], [2e300, 1e300]]))
+    nearest = NearestNeighbours(np.array([[1e300, 0.0], [0.0, 0.0], [2e300, 1e300]]))
     with np.errstate(over="ignore"):
         assert nearest(np.array([1.5e300, 0.0]), 1).tolist() == [0]
 
@@ -505,7 +505,7 @@ def test_evaluate_keeps_files_of_the_user(flight: Path, tmp_path: Path, name: st
     mine.parent.mkdir(parents=True)
     mine.write_text('{"mine": true}')
     command = ("evaluate", flight, "--method", "prior", "--out", tmp_path / "results")
-    assert "another file stands there" in expect_error(tmp_path, *command)
+    assert "it is a file of another program" in expect_error(tmp_path, *command)
 
 
 # ---- what other commands may replace
@@ -517,7 +517,9 @@ def test_leaderboard_keeps_files_of_the_user(scored: Path, tmp_path: Path, name:
     for _ in range(2):
         assert invoke("leaderboard", scored, "--out", out).exit_code == 0
     (out / name).write_text("# my notes\n")
-    assert "another file stands there" in expect_error(out, "leaderboard", scored, "--out", out)
+    assert "it is a file of another program" in expect_error(
+        out, "leaderboard", scored, "--out", out
+    )
 
 
 def test_view_keeps_files_of_the_user(tmp_path: Path) -> None:
@@ -527,11 +529,11 @@ def test_view_keeps_files_of_the_user(tmp_path: Path) -> None:
     photo = tmp_path / "photo.png"
     Image.new("RGB", (8, 8)).save(photo)
     line = expect_error(tmp_path, "view", scene, "--out", tmp_path / "photo.html")
-    assert "photo.png: another file stands there" in line
+    assert "photo.png: it is a file of another program" in line
     photo.unlink()
     (tmp_path / "photo.html").write_text("<title>mine</title>")
     line = expect_error(tmp_path, "view", scene, "--out", tmp_path / "photo.html")
-    assert "photo.html: another file stands there" in line
+    assert "photo.html: it is a file of another program" in line
 
 
 def test_view_of_other_results_says_so(scored: Path, tmp_path: Path) -> None:
@@ -549,11 +551,11 @@ def test_basin_and_baseline_keep_files_of_the_user(
     baseline.mkdir(parents=True)
     (baseline / "elsewhere.json").write_text('{"mine": true}')
     line = expect_error(tmp_path, "regress", results, "--against", baseline.parent, "--update")
-    assert "another file stands there" in line
+    assert "it is a file of another program" in line
     assert "is read" in expect_error(tmp_path, "regress", results, "--against", results, "--update")
     (results / "meadow/prior.basin.json").write_text('{"mine": true}')
     line = expect_error(tmp_path, "basin", flight, "--method", "prior", "--out", results)
-    assert "another file stands there" in line
+    assert "it is a file of another program" in line
 
 
 @pytest.mark.parametrize(
@@ -564,7 +566,9 @@ def test_renderers_keep_files_of_the_user(tmp_path: Path, command: str, name: st
     mine = tmp_path / "out" / name
     mine.parent.mkdir(parents=True)
     mine.write_text("mine")
-    assert "another file stands there" in expect_error(tmp_path, command, "--out", tmp_path / "out")
+    assert "it is a file of another program" in expect_error(
+        tmp_path, command, "--out", tmp_path / "out"
+    )
 
 
 @pytest.mark.parametrize("name", ["weights.safetensors", "log.jsonl", "curves.png", "scene.json"])

@@ -118,7 +118,7 @@ def make_scene(path: Path) -> Path:
     }
     write_features(path / "map" / "features.h5", features)
     added = AddedPoint(id=60, object=0, confidence=0.5)
-    digest = scene.sparse_map().without(np.arange(60) == 59).sha256
+    digest = scene.sparse_map().drop_points(np.arange(60) == 59).sha256
     write_json(path / "map" / "supplement.json", Supplement(points=(added,), map_sha256=digest))
     # Like that of a simulated scene: two photographs of noise would show no square of a site.
     finish_scene(path, scene.manifest.model_copy(update={"config": {"area": 120.0}}))

@@ -88,7 +88,7 @@ def test_covisibility_comes_back_from_disk(tmp_path: Path) -> None:
         assert file["pairs"][:].tolist() == [[0, 1]]
         assert file["share"][:].tolist() == [0.25]
     np.testing.assert_array_equal(back.select(["c", "b"]).overlap, [[0, 0.5], [0.05, 0]])
-    with pytest.raises(InputError, match="does not know frame d"):
+    with pytest.raises(InputError, match="lacks frame d"):
         back.select(["a", "d"])
 
 

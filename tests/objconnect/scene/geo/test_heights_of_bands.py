@@ -237,15 +237,15 @@ def test_units_of_the_system(tmp_path: Path, egm96: float) -> None:
 
 def test_a_band_that_contradicts_the_system(tmp_path: Path, egm96: float) -> None:
     path = write(tmp_path / "d.tif", HILLS, crs="EPSG:32632+5773", after=unit("foot"))
-    with pytest.raises(InputError, match="band's unit is unknown .it is 'foot', that of the refe"):
+    with pytest.raises(InputError, match="band's unit is unknown .it is 'foot', in the refe"):
         Raster.open(path, "surface model")
 
 
 @pytest.mark.parametrize(
     ("key", "says"),
     [
-        (9003, "VerticalUnitsGeoKey 0.3048"),
-        (9002, "VerticalUnitsGeoKey 0.3048"),
+        (9003, "VerticalUnitsGeoKey it is 0.3048"),
+        (9002, "VerticalUnitsGeoKey it is 0.3048"),
         (9014, "VerticalUnitsGeoKey 9014 is not known"),
     ],
 )

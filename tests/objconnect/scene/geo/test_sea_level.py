@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from objconnect.scene.geo import sea_level
-from objconnect.scene.geo.sea_level import above_ellipsoid
+from objconnect.scene.geo.sea_level import convert_to_ellipsoid
 from objconnect.scene.storage.exif import read_exif
 from tests.objconnect.scene.quantities import raw_exif as raw
 
@@ -38,6 +38,6 @@ def test_sea_level_becomes_the_ellipsoid(
     gps |= {"GPSLongitude": raw.rational(91.9944), "GPSLongitudeRef": raw.text("W")}
     gps |= {"GPSAltitude": raw.rational(100.0), "GPSAltitudeRef": raw.byte(reference)}
     raw.write(tmp_path / "a.jpg", (40, 30), raw.exif({}, gps))
-    exif = above_ellipsoid(read_exif(tmp_path / "a.jpg"), given)
+    exif = convert_to_ellipsoid(read_exif(tmp_path / "a.jpg"), given)
     assert exif.position is not None and exif.position.altitude == pytest.approx(altitude)
     assert bool(exif.doubts) is doubted and exif.refers_to_sea_level is doubted

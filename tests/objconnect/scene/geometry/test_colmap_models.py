@@ -12,7 +12,7 @@ from objconnect.scene.geometry.camera import MODELS, Camera
 from objconnect.scene.geometry.colmap_models import (
     CONVERTIBLE_MODELS,
     MODEL_IDS,
-    equal_model,
+    convert_model,
     parameter_count,
 )
 
@@ -69,12 +69,12 @@ def test_a_coefficient_that_we_lack_is_named(name: str, place: int, message: str
     params = list(EXACT[name])
     params[place] = 0.01
     with pytest.raises(InputError, match=message):
-        equal_model(name, params)
+        convert_model(name, params)
 
 
 @pytest.mark.parametrize("place", range(8, 12))
 def test_full_opencv_is_opencv_only_without_its_tail(place: int) -> None:
     params = [*EXACT["FULL_OPENCV"]]
-    assert equal_model("FULL_OPENCV", params) == ("OPENCV", EXACT["FULL_OPENCV"][:8])
+    assert convert_model("FULL_OPENCV", params) == ("OPENCV", EXACT["FULL_OPENCV"][:8])
     params[place] = 0.01
-    assert equal_model("FULL_OPENCV", params) == ("FULL_OPENCV", tuple(params))
+    assert convert_model("FULL_OPENCV", params) == ("FULL_OPENCV", tuple(params))

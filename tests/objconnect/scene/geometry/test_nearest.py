@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from objconnect.scene.geometry.nearest import Nearest
+from objconnect.scene.geometry.nearest import NearestNeighbours
 
 
 def all_looked_at(xy: NDArray[np.float64], place: NDArray[np.float64], k: int) -> NDArray[np.int64]:
@@ -27,7 +27,7 @@ def test_as_all_looked_at(count: int, k: int, kind: str) -> None:
         xy[:] = 3.0
     elif kind == "strays":
         xy[::3] *= 1e6
-    nearest = Nearest(xy)
+    nearest = NearestNeighbours(xy)
     for place in (*rng.uniform(-600, 600, (4, 2)), *xy[:2], np.array([1e9, -1e9])):
         np.testing.assert_array_equal(nearest(place, k), all_looked_at(xy, place, k))
         away = np.linalg.norm(xy - place, axis=1)
@@ -37,4 +37,4 @@ def test_as_all_looked_at(count: int, k: int, kind: str) -> None:
 
 def test_nowhere() -> None:
     with pytest.raises(ValueError, match="the point must be finite"):
-        Nearest(np.zeros((3, 2)))(np.array([0, np.nan]), 1)
+        NearestNeighbours(np.zeros((3, 2)))(np.array([0, np.nan]), 1)

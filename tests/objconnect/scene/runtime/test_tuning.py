@@ -13,7 +13,7 @@ from tests.programs import run_and_print
 FREED = """
 import ctypes
 from objconnect.scene.runtime.memory import resident_bytes
-from objconnect.scene.runtime.tuning import ProcessTuning, return_freed_above
+from objconnect.scene.runtime.tuning import ProcessTuning, trim_heap_above
 
 libc = ctypes.CDLL(None)
 libc.malloc.restype = ctypes.c_void_p
@@ -26,13 +26,13 @@ for block in blocks:
 for block in blocks[:-1]:
     libc.free(block)
 held = resident_bytes()
-return_freed_above(0)
+trim_heap_above(0)
 print(held - resident_bytes())
 ProcessTuning().__enter__()
 held = resident_bytes()
-return_freed_above(held + 50_000_000)
+trim_heap_above(held + 50_000_000)
 print(held - resident_bytes())
-return_freed_above(held - 50_000_000)
+trim_heap_above(held - 50_000_000)
 print(held - resident_bytes())
 """
 
