@@ -29,12 +29,12 @@ _ORB_STEP: Final = 1.2
 class Binary(Extractor):
     """An extractor of features with binary descriptors.
 
-    Each picture has its own detector, because OpenCV does not document them as thread-safe.
+    Each call creates a detector, because OpenCV does not document detectors as thread-safe.
     """
 
     def __call__(self, rgb: NDArray[np.uint8]) -> Features:
         grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
-        detector = self._detector()
+        detector = self._create_detector()
         keypoints, descriptors = detector.detectAndCompute(grey, None)
         if not keypoints:
             empty = np.zeros(0, np.float32)
@@ -45,7 +45,7 @@ class Binary(Extractor):
         return Features(xy.astype(np.float32), scale, np.asarray(descriptors))
 
     @abstractmethod
-    def _detector(self) -> cv2.Feature2D: ...
+    def _create_detector(self) -> cv2.Feature2D: ...
 
     def _pixels(
         self, keypoints: Sequence[cv2.KeyPoint], size: tuple[int, int]
@@ -78,7 +78,7 @@ class Orb(Binary):
         self.options = f"OpenCV {cv2.__version__}, {max_features} features"
         self._max_features = max_features
 
-    def _detector(self) -> cv2.Feature2D:
+    def _create_detector(self) -> cv2.Feature2D:
         return cv2.ORB.create(self._max_features, _ORB_STEP)
 
     def _pixels(
@@ -102,7 +102,7 @@ class Akaze(Binary):
         self.options = f"OpenCV {cv2.__version__}, {max_features} features over {threshold}"
         self._max_features, self._threshold = max_features, threshold
 
-    def _detector(self) -> cv2.Feature2D:
+    def _create_detector(self) -> cv2.Feature2D:
         return cv2.AKAZE.create(threshold=self._threshold, max_points=self._max_features)
 
 

@@ -116,9 +116,9 @@ class EpipolarLocalizer:
             references = [self._map.images[self._map.names[row]] for row in rows]
         with clock.stage("relative poses"):
             attempts = [self._relate(query, features, unit, image) for image in references]
-            related = [each for each in attempts if each is not None]
+            relations = [each for each in attempts if each is not None]
         with clock.stage("pose"):
-            rays = _rays(related)
+            rays = _rays(relations)
             agreeing = rays.consensus(_AGREE_DEG, _MIN_ANGLE_DEG)
             if not len(agreeing):
                 reason = self._explain_failure(rays, len(references))
@@ -128,7 +128,7 @@ class EpipolarLocalizer:
             start = Pose(
                 torch.from_numpy(rotation), torch.from_numpy(-rotation @ chosen.intersect())
             )
-            used = [related[row][0] for row in agreeing]
+            used = [relations[row][0] for row in agreeing]
             focal = float(np.mean(query.camera.focal))
             refined = refine(start, used, focal)
         return Estimate(
@@ -179,14 +179,14 @@ class EpipolarLocalizer:
         return f"no two of {len(rays)} references agree on the pose of the query"
 
 
-def _rays(related: Sequence[tuple[Matches, Pose]]) -> Rays:
-    """Return the rays from reference images to the query, and its attitude from each."""
+def _rays(relations: Sequence[tuple[Matches, Pose]]) -> Rays:
+    """Return the rays from reference images to the query, with the query's attitude from each."""
     origins, directions, rotations = (
-        np.zeros((len(related), 3)),
-        np.zeros((len(related), 3)),
-        np.zeros((len(related), 3, 3)),
+        np.zeros((len(relations), 3)),
+        np.zeros((len(relations), 3)),
+        np.zeros((len(relations), 3, 3)),
     )
-    for k, (matches, query_from_reference) in enumerate(related):
+    for k, (matches, query_from_reference) in enumerate(relations):
         rotation = matches.reference.rotation
         origins[k] = matches.reference.centre()
         directions[k] = rotation.T @ query_from_reference.centre()

@@ -18,7 +18,7 @@ class PriorConfig(Config):
 
 
 class PriorLocalizer:
-    """Returns the pose at which methods that align features begin, without aligning any.
+    """Returns the initial pose of the methods that align features, without alignment.
 
     Implements ``objconnect.scene.localizer.Localizer``.
     """

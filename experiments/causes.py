@@ -35,7 +35,7 @@ from benchmark.datasets.dataset import BenchmarkQuery, Dataset
 from benchmark.datasets.open import open_datasets
 from benchmark.results.query_result import QueryResult
 from benchmark.results.results_files import load
-from objconnect.localization.featuremetric.attempt import likeliest, sigma_m
+from objconnect.localization.featuremetric.attempt import select_likeliest, sigma_m
 from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
 from objconnect.methods import create
 from objconnect.scene.geometry.camera import Camera
@@ -91,7 +91,7 @@ def _find_cause(localizer: FeaturemetricLocalizer, query: BenchmarkQuery, ground
         metres = float(attempt.pose.error_to(truth)[0])
         seen = [find_seen_ground(pose, query.camera, ground) for pose in (attempt.pose, truth)]
         away = float(np.linalg.norm(seen[0] - seen[1], axis=1).mean())
-    _, probability = likeliest([attempt])
+    _, probability = select_likeliest([attempt])
     if away > _ON_GROUND_M:
         cause = "features"
     elif metres > _FOUND_M or sigma_m(attempt, options) > options.most_sigma_m:

@@ -34,7 +34,7 @@ from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.open import open_datasets
 from benchmark.evaluation.starts import Start, parse_start
 from benchmark.scoring.uncertainty import _CHI2_95
-from objconnect.localization.align.covariance import Spread
+from objconnect.localization.align.covariance import PoseUncertainty
 from objconnect.localization.featuremetric.attempt import Attempt
 from objconnect.localization.featuremetric.calibration import (
     CovarianceModel,
@@ -82,7 +82,7 @@ class Answers:
         scenes: (N,) names of the scenes of their queries.
         conditions: (N,) conditions of their queries.
         errors: (N, 6) left tangent from the pose to the true one, rotation (rad), translation (m).
-        spread: covariances (N, 6, 6) of the alignments, and the figures that calibrate them.
+        uncertainty: covariances (N, 6, 6) of the alignments, and the figures that calibrate them.
         fit: (N,) cost of the alignment as a share of the cost by chance.
         false: (N,) whether they are wrong by more than 5 m or 10 degrees.
     """
@@ -90,21 +90,23 @@ class Answers:
     scenes: NDArray[np.str_]
     conditions: NDArray[np.str_]
     errors: NDArray[np.float64]
-    spread: Spread
+    uncertainty: PoseUncertainty
     fit: NDArray[np.float64]
     false: NDArray[np.bool_]
 
     def __getitem__(self, which: NDArray[np.bool_]) -> Answers:
         """Return the poses of a mask (N,)."""
         rows = torch.from_numpy(which)
-        spread = Spread(*(getattr(self.spread, each.name)[rows] for each in fields(Spread)))
+        uncertainty = PoseUncertainty(
+            *(getattr(self.uncertainty, each.name)[rows] for each in fields(PoseUncertainty))
+        )
         columns = (self.scenes, self.conditions, self.errors, self.fit, self.false)
         scenes, conditions, errors, fit, false = (column[which] for column in columns)
-        return Answers(scenes, conditions, errors, spread, fit, false)
+        return Answers(scenes, conditions, errors, uncertainty, fit, false)
 
     def covariances(self, constants: CovarianceModel) -> NDArray[np.float64]:
         """Return the covariances (N, 6, 6) that the method would answer with these constants."""
-        return calibrate_covariance(self.spread, self.fit, constants)
+        return calibrate_covariance(self.uncertainty, self.fit, constants)
 
     def nees(self, constants: CovarianceModel) -> NDArray[np.float64]:
         """Return the normalised squared errors (N,) with these constants."""
@@ -124,7 +126,7 @@ def calibrate(answers: Answers) -> CovarianceModel:
 
     def unlikeliness(logarithms: NDArray[np.float64]) -> float:
         constants = CovarianceModel.from_values(np.exp(logarithms).tolist())
-        factor, added = compute_scales(answers.spread, answers.fit, constants)
+        factor, added = compute_scales(answers.uncertainty, answers.fit, constants)
         variances = factor[:, None] * measured + added[:, :1]
         volume = np.log(variances).sum() / 2
         nees = (squares / variances).sum(1)
@@ -162,10 +164,10 @@ def _along_axes(answers: Answers) -> tuple[NDArray[np.float64], NDArray[np.float
     In units of radians, and of metres per metre of depth, a calibrated covariance is a multiple of
     the measured one and a multiple of the identity, so that both have the same axes.
     """
-    depth = answers.spread.depth.double().numpy()
+    depth = answers.uncertainty.depth.double().numpy()
     units = np.stack([np.ones_like(depth), depth], 1).repeat(3, axis=1)
     measured, axes = np.linalg.eigh(
-        answers.spread.covariance.numpy() / (units[:, :, None] * units[:, None])
+        answers.uncertainty.covariance.numpy() / (units[:, :, None] * units[:, None])
     )
     along = ((answers.errors / units)[:, None] @ axes)[:, 0]
     return measured, along**2
@@ -204,7 +206,7 @@ def main() -> None:
         found.write(args.out, "python -m experiments.covariance")
     _table("found", answers, answers.nees(found))
     _table("of the method", answers, answers.nees(present))
-    _table("measured", answers, _nees(answers.errors, answers.spread.covariance.numpy()))
+    _table("measured", answers, _nees(answers.errors, answers.uncertainty.covariance.numpy()))
     if len(np.unique(answers.scenes)) > 1:
         _table("found on the other scenes", answers, unseen_nees(answers))
 
@@ -223,7 +225,9 @@ def _answers(
 
     def measure(attempt: Attempt, _: SearchOptions) -> NDArray[np.float64] | None:
         last[:] = [attempt]
-        covariance = None if attempt.spread is None else attempt.spread.covariance[0].numpy()
+        covariance = (
+            None if attempt.uncertainty is None else attempt.uncertainty.covariance[0].numpy()
+        )
         if covariance is None or not np.isfinite(covariance).all():
             return None
         return attempt.view.photograph_covariance(covariance)
@@ -241,21 +245,24 @@ def _answers(
 
 
 def _stack(answers: Iterable[_Answer]) -> Answers:
-    scenes, conditions, errors, spread, fit, false = [], [], [], [], [], []
+    scenes, conditions, errors, uncertainty, fit, false = [], [], [], [], [], []
     for scene, condition, estimate, attempt, truth in answers:
-        assert estimate.cam_from_world is not None and attempt.spread is not None
+        assert estimate.cam_from_world is not None and attempt.uncertainty is not None
         assert estimate.covariance is not None
         scenes.append(scene)
         conditions.append(condition)
         errors.append((truth @ estimate.cam_from_world.inverse()).log().numpy())
         covariance = torch.from_numpy(estimate.covariance)[None]
-        spread.append(replace(attempt.spread, covariance=covariance))
+        uncertainty.append(replace(attempt.uncertainty, covariance=covariance))
         fit.append(attempt.fit)
         metres, degrees = (float(each) for each in estimate.cam_from_world.error_to(truth))
         false.append(metres > 5 or degrees > 10)
-    parts = [torch.cat([getattr(each, field.name) for each in spread]) for field in fields(Spread)]
+    parts = [
+        torch.cat([getattr(each, field.name) for each in uncertainty])
+        for field in fields(PoseUncertainty)
+    ]
     columns = (np.array(scenes), np.array(conditions), np.array(errors))
-    return Answers(*columns, Spread(*parts), np.array(fit), np.array(false))
+    return Answers(*columns, PoseUncertainty(*parts), np.array(fit), np.array(false))
 
 
 def _table(title: str, answers: Answers, nees: NDArray[np.float64]) -> None:

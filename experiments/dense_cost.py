@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from objconnect.mapping.dense.consistency import count_agreeing
 from objconnect.mapping.dense.patchmatch import consistent_estimate, first_estimate
 from objconnect.mapping.dense.report import read_truth
-from objconnect.mapping.dense.sources import choose_all, seeds_in
+from objconnect.mapping.dense.sources import choose_all, find_seeds
 from objconnect.mapping.dense.undistort import pinhole_of, undistort_map, write_undistorted
 from objconnect.mapping.dense.warp import StereoView
 from objconnect.scene.bundle.scene import Scene
@@ -60,7 +60,7 @@ def main() -> None:
             sources = [views[other] for other in sources_of[name]]
             began = time.process_time()
             generator = torch.Generator().manual_seed(0)
-            seeds = seeds_in(sparse_map, name)
+            seeds = find_seeds(sparse_map, name)
             first[name] = first_estimate(views[name], sources, seeds, generator).planes
             seconds[name] = time.process_time() - began
         return first[name]

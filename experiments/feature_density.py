@@ -52,7 +52,7 @@ def _create_localizer(method: str) -> Localizer:
 def _feature_points(localizer: Localizer, row: int) -> Iterator[_WeightedPoints]:
     """Yield the features with equal weights, then with their confidences."""
     if isinstance(localizer, StructureLocalizer):
-        xyz = localizer._lifted(row).xyz
+        xyz = localizer._lifted_keypoints(row).xyz
         yield _WeightedPoints(xyz, np.ones(len(xyz)))
     elif isinstance(localizer, FeaturemetricLocalizer):
         observations = localizer.map_state.refine.problems.observations[row]

@@ -75,7 +75,7 @@ def main(scene: Path, session: str, weights: Path, out: Path) -> None:
         (axes[1, 0], "one start", align(problem)),
         (axes[1, 1], "many starts", align_from_many(problem, SearchRadius())),
     ):
-        poses = [batch, *found.by_level]
+        poses = [batch, *found.level_poses]
         names = ("start", *(f"stride {level.stride}" for level in problem.levels))
         for pose, name, colour in zip(
             poses, names, ("red", "orange", "yellow", "cyan"), strict=True

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from objconnect.localization.pipeline.answers import Located
+from objconnect.localization.pipeline.answers import ImageEstimate
 from objconnect.localization.pipeline.localization_map import open_map
 from objconnect.localization.pipeline.localize import localize_video
 from objconnect.localization.pipeline.options import LocalizeOptions
@@ -95,7 +95,7 @@ def blank(video: Path, begin_s: float, end_s: float) -> None:
 
 
 def report(
-    name: str, located: list[Located], truth: dict[str, Pose], localizer: Timed
+    name: str, located: list[ImageEstimate], truth: dict[str, Pose], localizer: Timed
 ) -> dict[str, object]:
     """Return the figures of a run."""
     errors = np.full((len(located), 2), np.inf)

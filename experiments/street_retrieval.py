@@ -44,7 +44,7 @@ def _ranks(localizer: Localizer, dataset: Dataset) -> Iterator[NDArray[np.int64]
                 yield localizer.map_state.refine.retrieval.index.rank(described, max(_FIRST))
             else:
                 assert isinstance(localizer, StructureLocalizer)
-                yield localizer.similar(loaded, max(_FIRST))
+                yield localizer.find_similar(loaded, max(_FIRST))
             advance(done)
 
 

@@ -83,7 +83,7 @@ class Run:
             "run": self.name,
             "frames": len(errors),
             "found": int(found.sum()),
-            "searched": self.tracker.searched,
+            "searched": self.tracker.search_count,
             "false": int(false.sum()),
             "within": {
                 f"{metres:g} m {degrees:g} deg": int((errors < (metres, degrees)).all(1).sum())

@@ -19,7 +19,7 @@ _MAX_OFFSET: Final = 0.5
 _MIN_SIDE_PX: Final = 16
 
 EDGE_RATIO: Final = 5.0
-"""Maximum ratio of the two curvatures of a peak, as in SIFT; with a larger one it is an edge."""
+"""Maximum ratio of the two curvatures of a peak, as in SIFT. A larger ratio indicates an edge."""
 
 
 class Keypoints(NamedTuple):
@@ -98,7 +98,7 @@ def find_peaks(features: Tensor) -> tuple[Tensor, Tensor]:
     """Find the peaks of each cell's strongest channel, and their exact positions.
 
     A peak is the largest of 3 x 3 cells, and its curvatures are similar in all directions. Its
-    exact position is that of the parabola through those cells (Brown and Lowe, BMVC 2002).
+    exact position is the top of the parabola through those cells (Brown and Lowe, BMVC 2002).
 
     Args:
         features: features (C, h, w), not negative.

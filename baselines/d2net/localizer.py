@@ -35,7 +35,7 @@ _CONTRAST_WINDOW_PX: Final = 33
 
 
 class D2NetConfig(StructureConfig):
-    """Options of the d2net localizer, in addition to those of ``StructureConfig``."""
+    """Options of the d2net localizer, in addition to ``StructureConfig``."""
 
     weights: Path | None = Field(
         None,
@@ -109,7 +109,7 @@ class D2NetExtractor(Extractor):
                 values[strongest].cpu().numpy()
                 for values in (keypoints.xy, keypoints.scale, keypoints.descriptors)
             )
-        trim_heap()  # its time is negligible beside that of the network
+        trim_heap()  # takes little time compared with the network
         config = self._config
         kept = np.flatnonzero(_has_contrast(rgb, xy))[: config.max_features]
         xy, scale, descriptors = xy[kept], scale[kept], descriptors[kept]

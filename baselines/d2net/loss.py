@@ -14,7 +14,7 @@ from torch.nn import functional
 
 from objconnect.learning.training.contrastive import sample
 
-# Margin of the squared distances, that of the authors.
+# Margin of the squared distances; the value of the authors.
 _MARGIN: Final = 1.0
 # Negatives are farther than this Chebyshev distance (cells) from the true match.
 _SAFE_RADIUS: Final = 4
@@ -39,7 +39,7 @@ class TripletLoss(NamedTuple):
     right: Tensor
 
 
-class Described(NamedTuple):
+class ImagePoints(NamedTuple):
     """One image of a pair with the points that correspond to points of the other.
 
     Attributes:
@@ -54,14 +54,14 @@ class Described(NamedTuple):
     cells: Tensor
 
 
-def triplet_loss(image_a: Described, image_b: Described) -> TripletLoss:
+def triplet_loss(image_a: ImagePoints, image_b: ImagePoints) -> TripletLoss:
     """Return the loss of one pair of images, whose points correspond by their order."""
     a = _descriptors(image_a.features, image_a.cells)
     b = _descriptors(image_b.features, image_b.cells)
     positive = 2 - 2 * (a * b).sum(1)
     negative = torch.minimum(
-        _hardest(a, image_b.features, image_b.cells),
-        _hardest(b, image_a.features, image_a.cells),
+        _hardest_distance(a, image_b.features, image_b.cells),
+        _hardest_distance(b, image_a.features, image_a.cells),
     )
     score_a, score_b = (
         _sample_at(each.scores[None], each.cells)[:, 0] for each in (image_a, image_b)
@@ -87,7 +87,7 @@ def _descriptors(features: Tensor, cells: Tensor) -> Tensor:
     return functional.normalize(_sample_at(features, cells), dim=1)
 
 
-def _hardest(descriptors: Tensor, features: Tensor, cells: Tensor) -> Tensor:
+def _hardest_distance(descriptors: Tensor, features: Tensor, cells: Tensor) -> Tensor:
     """Return the squared distance (N,) of each descriptor to its hardest negative.
 
     Args:

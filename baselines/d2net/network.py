@@ -85,7 +85,7 @@ class D2Net(nn.Module):
         """Return the features for localization. The centre of cell (x, y) is (4x + 4, 4y + 4).
 
         The third pooling is an average with stride 1, and the convolutions after it are dilated, so
-        that their receptive field is that of training. The average of 2 x 2 cells belongs to the
+        that their receptive field is as in training. The average of 2 x 2 cells belongs to the
         corner between them, which is half a cell further than the authors' code reports.
 
         Args:
@@ -116,7 +116,7 @@ def read_network(path: Path) -> tuple[D2Net, str]:
         InputError: the file is missing or damaged, or its weights belong to another network.
     """
     weights = read_weights(path)
-    # The authors' checkpoints do not state the width, which is that of the first layer.
+    # The authors' checkpoints do not state the width. It follows from the first layer.
     first = weights.tensors.get(_FIRST_WEIGHT)
     if first is None or not first.ndim:
         raise InputError(f"{path} lacks {_FIRST_WEIGHT}: it holds no weights of D2-Net")

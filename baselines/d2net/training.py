@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 import objconnect.learning.pixloc_net as pixloc
-from baselines.d2net.loss import Described, TripletLoss, triplet_loss
+from baselines.d2net.loss import ImagePoints, TripletLoss, triplet_loss
 from baselines.d2net.network import STRIDE, D2Net, D2NetNetConfig, read_network, soft_scores
 from objconnect.learning.checkpoint import read_weights
 from objconnect.learning.training.config import TrainConfig
@@ -76,8 +76,8 @@ class D2NetTraining:
         scores = soft_scores(features)
         triplets = [
             triplet_loss(
-                Described(features[i], scores[i], cells[0][i, valid[i]]),
-                Described(features[count + i], scores[count + i], cells[1][i, valid[i]]),
+                ImagePoints(features[i], scores[i], cells[0][i, valid[i]]),
+                ImagePoints(features[count + i], scores[count + i], cells[1][i, valid[i]]),
             )
             for i in range(count)
             if int(valid[i].sum()) >= min(_MIN_POINTS, most_points // 2)
@@ -98,16 +98,16 @@ def start_from(path: Path) -> D2Net:
     tensors = read_weights(path).tensors
     if not any(name.startswith("encoder.") for name in tensors):
         return read_network(path)[0].requires_grad_(True)
-    peer, _ = pixloc.read_network(path)
-    network = D2Net(D2NetNetConfig(width=peer.config.width))
-    theirs = [layer for layer in peer.encoder.modules() if isinstance(layer, nn.Conv2d)]
-    ours = [layer for layer in network.modules() if isinstance(layer, nn.Conv2d)]
+    pixloc_network, _ = pixloc.read_network(path)
+    network = D2Net(D2NetNetConfig(width=pixloc_network.config.width))
+    encoder = [layer for layer in pixloc_network.encoder.modules() if isinstance(layer, nn.Conv2d)]
+    layers = [layer for layer in network.modules() if isinstance(layer, nn.Conv2d)]
     with torch.no_grad():
-        for mine, other in zip(ours, theirs, strict=False):
-            mine.load_state_dict(other.state_dict())
-        # PixLoc's input is RGB in units of its deviation; that of D2-Net is BGR in 0..255.
-        spread = torch.tensor(IMAGENET_STD).view(1, 3, 1, 1) * 255
-        ours[0].weight.copy_((theirs[0].weight / spread).flip(1))
+        for layer, pixloc_layer in zip(layers, encoder, strict=False):
+            layer.load_state_dict(pixloc_layer.state_dict())
+        # PixLoc's input is RGB divided by its standard deviation. D2-Net's input is BGR in 0..255.
+        deviation = torch.tensor(IMAGENET_STD).view(1, 3, 1, 1) * 255
+        layers[0].weight.copy_((encoder[0].weight / deviation).flip(1))
     return network
 
 

@@ -73,8 +73,8 @@ class KorniaExtractor(Extractor):
         """The extractor and LightGlue.
 
         Raises:
-            InputError: kornia is not installed, a file holds no such weights, or weights cannot be
-                downloaded.
+            InputError: kornia is not installed, a file does not hold weights of its network, or
+                weights cannot be downloaded.
         """
         kornia, config = import_kornia(self.name), self._config
         matcher = create_lightglue(
@@ -114,12 +114,12 @@ class KorniaExtractor(Extractor):
         longest = max(width * cosine + height * sine, height * cosine + width * sine)
         magnified = min(scale * self._config.magnification, _MAX_EDGE / longest)
         found = super().extract_warped(rgb, camera, angle, magnified)
-        most = self._config.max_features
-        return Features(found.xy[:most], found.scale[:most], found.descriptors[:most])
+        limit = self._config.max_features
+        return Features(found.xy[:limit], found.scale[:limit], found.descriptors[:limit])
 
     @property
     def _limit(self) -> int:
-        """The number of keypoints that are detected."""
+        """The maximum number of keypoints to detect."""
         return int(_EXCESS * self._config.max_features)
 
     @abstractmethod
@@ -137,7 +137,7 @@ class KorniaExtractor(Extractor):
 
 
 class Aliked(KorniaExtractor):
-    """Extracts ALIKED."""
+    """Extracts ALIKED keypoints."""
 
     name = "aliked+lightglue"
     lightglue_name = "aliked"
@@ -151,7 +151,7 @@ class Aliked(KorniaExtractor):
 
 
 class Disk(KorniaExtractor):
-    """Extracts DISK."""
+    """Extracts DISK keypoints."""
 
     name = "disk+lightglue"
     lightglue_name = "disk"

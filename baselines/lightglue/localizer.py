@@ -38,8 +38,8 @@ class LightGlueMatcher:
     def _pair(self, query: Keypoints, reference: Keypoints) -> NDArray[np.int64]:
         if not len(query.xy) or not len(reference.xy):
             return np.zeros((0, 2), np.int64)
-        # Positions count from the middle. LightGlue divides them by the size, so both pictures get
-        # one size.
+        # Positions are relative to the picture's centre. LightGlue divides them by the picture's
+        # size, so both pictures get the same size to keep the same scale.
         half = max(float(np.abs(each.xy).max()) for each in (query, reference))
         data = {
             name: self._describe(each, half)
@@ -50,7 +50,7 @@ class LightGlueMatcher:
         return matches.cpu().numpy()
 
     def _describe(self, keypoints: Keypoints, half: float) -> dict[str, torch.Tensor]:
-        """Return LightGlue's input for a square picture with half its side in pixels."""
+        """Return LightGlue's input for a square picture whose side is ``2 * half`` pixels."""
         device = self.extractor.device
         side = max(2 * half, 1.0)
         return {

@@ -20,7 +20,7 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.runtime.extras import import_extra
 from objconnect.scene.storage.digests import sha256
 
-# Group of the tensors in a checkpoint of DISK's authors.
+# Key of the tensors in a checkpoint of DISK's authors.
 _GROUP: Final = "extractor"
 # Buffers that kornia computes and the authors' files lack.
 _DERIVED: Final = frozenset({"dkd.hw_grid", "confidence_thresholds"})
@@ -28,12 +28,12 @@ _DERIVED: Final = frozenset({"dkd.hw_grid", "confidence_thresholds"})
 _OLD_LAYER: Final = re.compile(r"^(self_attn|cross_attn)\.(\d+)\.")
 # Tensors of that release that LightGlue does not use.
 _UNUSED: Final = re.compile(r"^log_assignment\.\d+\.r$")
-# Size of the descriptors that LightGlue takes.
+# Number of channels of the descriptors of ALIKED and DISK.
 _DESCRIPTOR: Final = 128
 
 
 def import_kornia(method: str) -> ModuleType:
-    """Import the features of kornia.
+    """Import the module ``kornia.feature``.
 
     Raises:
         InputError: kornia is not installed.
@@ -45,13 +45,13 @@ def create_aliked(kornia: ModuleType, model: str, limit: int, path: Path | None)
     """Return ALIKED.
 
     Args:
-        kornia: features of kornia.
+        kornia: the module ``kornia.feature``.
         model: variant, such as ``aliked-n16``.
         limit: maximum number of keypoints of an image.
         path: file of its weights; None lets kornia download them.
 
     Raises:
-        InputError: the file holds no such weights, or those of another network, or the download
+        InputError: the file holds no weights, or weights of another network, or the download
             fails.
     """
     if path is None:
@@ -65,12 +65,12 @@ def create_disk(kornia: ModuleType, model: str, path: Path | None) -> nn.Module:
     """Return DISK.
 
     Args:
-        kornia: features of kornia.
+        kornia: the module ``kornia.feature``.
         model: variant, such as ``depth``.
         path: file of its weights; None lets kornia download them.
 
     Raises:
-        InputError: the file holds no such weights, or those of another network, or the download
+        InputError: the file holds no weights, or weights of another network, or the download
             fails.
     """
     if path is None:
@@ -84,13 +84,13 @@ def create_lightglue(
     """Return LightGlue.
 
     Args:
-        kornia: features of kornia.
-        features: the features that it was trained for, by kornia's name.
+        kornia: the module ``kornia.feature``.
+        features: the features that LightGlue was trained for, by kornia's name.
         min_confidence: minimum confidence of a match.
         path: file of its weights; None lets kornia download them.
 
     Raises:
-        InputError: the file holds no such weights, or those of another network, or the download
+        InputError: the file holds no weights, or weights of another network, or the download
             fails.
     """
     if path is None:

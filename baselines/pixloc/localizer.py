@@ -19,7 +19,7 @@ SHIPPED: Final = Path(__file__).with_name("pixloc.safetensors")
 
 
 class PixlocConfig(FeaturemetricConfig):
-    """Options of the pixloc localizer, which aligns once to the map's points, as its authors do.
+    """Options of the pixloc localizer, which aligns to the map's points only, as its authors do.
 
     ``weights`` may be a checkpoint of the authors.
     """

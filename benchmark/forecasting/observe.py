@@ -15,7 +15,7 @@ from benchmark.datasets.simulated import TRACK
 from benchmark.evaluation.starts import Start, parse_start
 from benchmark.forecasting.config import ForecastConfig
 from benchmark.scoring.score import Threshold, is_correct, is_false_fix
-from objconnect.localization.pipeline.answers import Located
+from objconnect.localization.pipeline.answers import ImageEstimate
 from objconnect.localization.pipeline.failures import localize_safely
 from objconnect.localization.pipeline.journal import Journal, journal_path
 from objconnect.localization.pipeline.localize import journal_key
@@ -180,7 +180,7 @@ def _observation(
         return create()
     t_err, r_err = pose.error_to(query.reference)
     error = (pose.centre() - query.reference.centre()).numpy()
-    sigmas = Located(query.name, estimate, None).sigmas
+    sigmas = ImageEstimate(query.name, estimate, None).sigmas
     across, up = (None, None) if sigmas is None or not np.isfinite(sigmas).all() else sigmas
     return create(
         t_err_m=float(t_err),

@@ -159,15 +159,20 @@ def load_into(network: nn.Module, tensors: Mapping[str, Tensor], path: Path) -> 
                 f"{path}: {name} is {tuple(tensors[name].shape)}, the network's is "
                 f"{tuple(value.shape)}: give weights of this network"
             )
-        given = tensors[name]
-        kinds = (given.is_floating_point(), given.is_complex(), given.is_quantized, given.layout)
+        tensor = tensors[name]
+        kinds = (
+            tensor.is_floating_point(),
+            tensor.is_complex(),
+            tensor.is_quantized,
+            tensor.layout,
+        )
         if kinds != (value.is_floating_point(), False, False, torch.strided):
             raise InputError(
-                f"{path}: {name} holds {str(given.dtype).removeprefix('torch.')}, the network's "
+                f"{path}: {name} holds {str(tensor.dtype).removeprefix('torch.')}, the network's "
                 f"holds {str(value.dtype).removeprefix('torch.')}: give weights of this network"
             )
         # A value that is finite in double precision may be infinite in single precision.
-        if not bool(torch.isfinite(given.to(value.dtype)).all()):
+        if not bool(torch.isfinite(tensor.to(value.dtype)).all()):
             raise InputError(f"{path}: {name} has values that are not finite")
     extra = sorted(set(tensors) - set(state))
     if extra:

@@ -1,4 +1,4 @@
-"""Preparation of networks for inference by fused layers.
+"""Layer fusion, which prepares networks for inference.
 
 A convolution, its batch normalisation and its ReLU become one pass. Results are the same up to
 rounding. In bfloat16 the convolutions use the processor's matrix or vector units for bfloat16.

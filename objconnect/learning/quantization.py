@@ -38,8 +38,8 @@ def largest_values(network: nn.Module) -> Iterator[Channelwise]:
 
     def watch(name: str, module: ConvReLU) -> torch.utils.hooks.RemovableHandle:
         def observe(_module: nn.Module, _inputs: tuple[Tensor, ...], maps: Tensor) -> None:
-            of_pass = maps.detach().amax((0, 2, 3)).float()
-            largest[name] = torch.maximum(largest.get(name, of_pass), of_pass)
+            maxima = maps.detach().amax((0, 2, 3)).float()
+            largest[name] = torch.maximum(largest.get(name, maxima), maxima)
 
         return module.register_forward_hook(observe)
 
@@ -111,14 +111,14 @@ def _sequences(parts: nn.Module) -> list[nn.Sequential]:
 def _quantize_encoder(encoder: Sequence[nn.Sequential], scales: Channelwise) -> list[Tensor]:
     """Replace the layers of an encoder; return the quantization steps of each block's channels."""
     pixels = _QuantizedPixels()
-    into, zero, blocks = torch.full((3,), pixels.scale), pixels.zero, []
+    inputs, zero, blocks = torch.full((3,), pixels.scale), pixels.zero, []
     for number, block in enumerate(encoder):
         for index, layer in enumerate(block):
             if isinstance(layer, ConvReLU):
-                out = scales[f"encoder.{number}.{index}"]
-                block[index] = _QuantizedConvReLU(layer.convolution, into, out, zero)
-                into, zero = out, 0
-        blocks.append(into)
+                outputs = scales[f"encoder.{number}.{index}"]
+                block[index] = _QuantizedConvReLU(layer.convolution, inputs, outputs, zero)
+                inputs, zero = outputs, 0
+        blocks.append(inputs)
     encoder[0].insert(0, pixels)
     return blocks
 
@@ -133,11 +133,11 @@ def _quantize_decoder(
         assert isinstance(layer, ConvReLU)
         # Only heads, which are not quantized, read the last map. It is not rounded.
         is_last = number == len(decoder) - 1
-        out = scales[f"decoder.{number}.0"]
-        out = torch.ones_like(out) if is_last else out
-        into = torch.cat([levels[-1], blocks[-2 - number]])
-        step[0] = _QuantizedConvReLU(layer.convolution, into, out, rounded=not is_last)
-        levels.append(out)
+        outputs = scales[f"decoder.{number}.0"]
+        outputs = torch.ones_like(outputs) if is_last else outputs
+        inputs = torch.cat([levels[-1], blocks[-2 - number]])
+        step[0] = _QuantizedConvReLU(layer.convolution, inputs, outputs, rounded=not is_last)
+        levels.append(outputs)
     return levels
 
 
@@ -192,8 +192,8 @@ class _QuantizedConvReLU(nn.Module):
 
     Args:
         convolution: the convolution in floating point.
-        into: (C_in,) quantization steps of the input.
-        out: (C_out,) quantization steps of the output.
+        input_steps: (C_in,) quantization steps of the input.
+        output_steps: (C_out,) quantization steps of the output.
         zero: the zero point of the input.
         rounded: whether the output is an integer; else it has the type of the heads.
     """
@@ -201,16 +201,17 @@ class _QuantizedConvReLU(nn.Module):
     def __init__(
         self,
         convolution: nn.Conv2d,
-        into: Tensor,
-        out: Tensor,
+        input_steps: Tensor,
+        output_steps: Tensor,
         zero: int = 0,
         *,
         rounded: bool = True,
     ) -> None:
         super().__init__()
-        weight = convolution.weight.float() * into[None, :, None, None] / out[:, None, None, None]
+        weight = convolution.weight.float() * input_steps[None, :, None, None]
+        weight = weight / output_steps[:, None, None, None]
         bias = torch.zeros(len(weight)) if convolution.bias is None else convolution.bias.float()
-        self._bias, self._zero = bias / out, zero
+        self._bias, self._zero = bias / output_steps, zero
         self._steps = weight.abs().amax((1, 2, 3)).clamp(min=1e-12) / 127
         self._zeros = torch.zeros(len(weight), dtype=torch.int64)
         sides = (convolution.stride, convolution.padding, convolution.dilation)

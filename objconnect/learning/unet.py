@@ -21,7 +21,7 @@ STRIDES: Final = (16, 8, 4, 2, 1)
 _ROWS: Final = 64
 # Margin of cells that are computed around the needed cells. The convolution and the resizing of the
 # next finer level need at most (4 + 1) / 2 + 1 cells, and interpolated slopes two.
-_REACH: Final = 4
+_MARGIN: Final = 4
 
 
 def check_levels(strides: Sequence[int], dims: Sequence[int]) -> None:
@@ -71,8 +71,8 @@ class Decoder(nn.ModuleList):
             )
             for (before, after), skip in zip(pairwise(sizes), skips[1:], strict=False)
         )
-        self._wanted = [STRIDES.index(stride) for stride in strides]
-        self.sizes = [sizes[step] for step in self._wanted]
+        self._level_steps = [STRIDES.index(stride) for stride in strides]
+        self.sizes = [sizes[step] for step in self._level_steps]
 
     def forward(self, blocks: Sequence[Tensor]) -> Iterator[Tensor]:
         """Yield the map (B, C, h, w) of each level, coarse to fine, computed on demand.
@@ -83,7 +83,7 @@ class Decoder(nn.ModuleList):
         Args:
             blocks: outputs of the encoder's blocks, from the finest stride of the decoder to 16.
         """
-        for (maps,) in self.levels(blocks, [_identity] * len(self._wanted)):
+        for (maps,) in self.levels(blocks, [_identity] * len(self._level_steps)):
             yield maps
 
     def levels(
@@ -104,18 +104,18 @@ class Decoder(nn.ModuleList):
         """
         skips = list(blocks)
         del blocks  # so that each block is freed once it is decoded
-        wanted = _spans(needed)
+        finest_spans = _spans(needed)
         decoded = skips.pop()
-        if 0 in self._wanted:
+        if 0 in self._level_steps:
             yield heads[0](decoded)
         for number, step in enumerate(self, 1):
-            spans = _coarser(wanted, 2 ** (self._wanted[-1] - number))
+            spans = _coarsen(finest_spans, 2 ** (self._level_steps[-1] - number))
             if number == len(self):
                 yield _decode(step, decoded, skips.pop(), heads[-1], spans)
                 return
             (decoded,) = _decode(step, decoded, skips.pop(), _identity, spans)
-            if number in self._wanted:
-                yield heads[self._wanted.index(number)](decoded)
+            if number in self._level_steps:
+                yield heads[self._level_steps.index(number)](decoded)
 
 
 def _identity(maps: Tensor) -> tuple[Tensor]:
@@ -139,7 +139,7 @@ def _spans(needed: NDArray[np.bool_] | None) -> NDArray[np.int64] | None:
     return spans
 
 
-def _coarser(spans: NDArray[np.int64] | None, times: int) -> NDArray[np.int64] | None:
+def _coarsen(spans: NDArray[np.int64] | None, times: int) -> NDArray[np.int64] | None:
     """Return the spans of a level whose cells are ``times`` as large."""
     if spans is None:
         return None
@@ -155,16 +155,16 @@ class _Window(NamedTuple):
 
     Attributes:
         coarse: cells of the map of half the resolution.
-        fine: cells of the encoder's block: those of the range, and one more at either side if the
-            map has it.
+        fine: cells of the encoder's block: the range and, except at the map's border, one more cell
+            at either side.
         shift: start of ``fine`` in the coarse cells after resizing.
-        before: start of the range in ``fine``.
+        margin: start of the range in ``fine``.
     """
 
     coarse: slice
     fine: slice
     shift: int
-    before: int
+    margin: int
 
     @staticmethod
     def of(first: int, last: int, size: int) -> _Window:
@@ -176,7 +176,7 @@ class _Window(NamedTuple):
             coarse=slice(start, last // 2 + 2 * after),
             fine=slice(first - before, last + after),
             shift=first - before - 2 * start,
-            before=before,
+            margin=before,
         )
 
 
@@ -207,9 +207,9 @@ def _decode(
     for top in range(0, rows, count):
         bottom, left, right = min(top + count, rows), 0, columns
         if spans is not None:
-            near = spans[max(top - _REACH, 0) : bottom + _REACH]
-            left = max(int(near[:, 0].min()) - _REACH, 0) // 2 * 2
-            right = min((int(near[:, 1].max()) + _REACH + 1) // 2 * 2, columns)
+            near = spans[max(top - _MARGIN, 0) : bottom + _MARGIN]
+            left = max(int(near[:, 0].min()) - _MARGIN, 0) // 2 * 2
+            right = min((int(near[:, 1].max()) + _MARGIN + 1) // 2 * 2, columns)
             if left >= right:
                 continue
         y, x = _Window.of(top, bottom, rows), _Window.of(left, right, columns)
@@ -221,7 +221,7 @@ def _decode(
             return strip
         outputs = outputs or [_zeros(maps, rows, columns) for maps in strip]
         for maps, part in zip(outputs, strip, strict=True):
-            part = part[..., y.before :, x.before :]
+            part = part[..., y.margin :, x.margin :]
             maps[..., top:bottom, left:right] = part[..., : bottom - top, : right - left]
     return tuple(outputs)
 

@@ -20,7 +20,7 @@ def find_weights(path: Path) -> Path:
 
     Args:
         path: a file, whose path is returned; a folder that ``publish-weights`` wrote; or the
-            address of one on the hub, ``hf://OWNER/NAME@COMMIT``.
+            address of such a folder, ``hf://OWNER/NAME@COMMIT``.
 
     Raises:
         InputError: the address cannot be read, or the folder is not one that was published, or a

@@ -15,7 +15,7 @@ _POSES = "poses"
 
 
 class Method(Record):
-    """A method; ``config`` holds every option that changes its result, as it was in effect.
+    """A method; ``config`` holds the effective value of every option that changes its result.
 
     ``objects`` states which objects a method uses: "none", or "learned" with the file of their
     weights and its digest; None for a method that has no objects.

@@ -1,4 +1,4 @@
-"""Ground resolution of photographs, and the scale that gives a photograph a wanted resolution."""
+"""Ground resolution of photographs, and the scale that gives a photograph a target resolution."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 _MIN_POINTS: Final = 10
 # Sine of the least angle of the optical axis below the horizon. Flatter views, as from a car, show
 # near and far things side by side and have no single resolution.
-_MIN_DOWN: Final = math.sin(math.radians(20))
+_MIN_DOWN_SINE: Final = math.sin(math.radians(20))
 SAME_RESOLUTION: Final = 1.25
 """Ratio of resolutions below which photographs are not resized, because networks tolerate it."""
 
@@ -41,7 +41,7 @@ def metres_per_pixel(
             wanted; None if it is not levelled.
     """
     axis = np.array([0.0, 0.0, 1.0]) if view_from_camera is None else view_from_camera[2]
-    if -float(axis @ pose.rotation.numpy()[:, 2]) < _MIN_DOWN:
+    if -float(axis @ pose.rotation.numpy()[:, 2]) < _MIN_DOWN_SINE:
         return math.nan
     in_camera = pose.transform(torch.from_numpy(xyz))
     projected = camera.project(in_camera)
@@ -72,24 +72,27 @@ def observed_xyz(image: MapImage, sparse_map: SparseMap) -> NDArray[np.float64]:
 
 
 def scale_to(
-    wanted: float, resolution: float, largest: float, same_resolution: float = SAME_RESOLUTION
+    target: float, resolution: float, largest: float, same_resolution: float = SAME_RESOLUTION
 ) -> float:
-    """Return the scale of a photograph that gives a wanted resolution.
+    """Return the scale of a photograph that gives a target resolution.
 
     Args:
-        wanted: metres per pixel of the result; NaN if unknown.
+        target: metres per pixel of the result; NaN if unknown.
         resolution: metres per pixel of the photograph; NaN if unknown.
-        largest: the largest scale. Scales above 1 are used only to reach ``wanted``.
+        largest: the largest scale. Scales above 1 are used only to reach ``target``.
         same_resolution: ratio of resolutions below which the photograph is not resized.
 
     Examples:
-        >>> scale_to(wanted=0.2, resolution=0.1, largest=1.0)
+        >>> scale_to(target=0.2, resolution=0.1, largest=1.0)
         0.5
-        >>> scale_to(wanted=0.11, resolution=0.1, largest=1.0)
+        >>> scale_to(target=0.11, resolution=0.1, largest=1.0)
         1.0
     """
-    plain = min(1.0, largest)
-    matching = resolution / wanted
-    if math.isfinite(matching) and not 1 / same_resolution < matching / plain < same_resolution:
+    unmagnified = min(1.0, largest)
+    matching = resolution / target
+    if (
+        math.isfinite(matching)
+        and not 1 / same_resolution < matching / unmagnified < same_resolution
+    ):
         return min(matching, largest)
-    return plain
+    return unmagnified

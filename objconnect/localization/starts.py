@@ -15,7 +15,7 @@ from objconnect.scene.geometry.views import north_angle, roll_rotation, rotate_n
 from objconnect.scene.localizer import By, Prior
 from objconnect.scene.maps.sparse_map import SparseMap
 
-# An altitude whose sigma exceeds this share of the height above ground counts as unknown.
+# An altitude whose sigma exceeds this share of the height above ground is treated as unknown.
 _UNKNOWN_ALTITUDE_SHARE: Final = 0.2
 # Heights above ground whose ratio is below this give one starting altitude.
 _SAME_HEIGHT_RATIO: Final = 1.15
@@ -26,7 +26,7 @@ _SAME_HEADING_DEG: Final = 45.0
 def starts(
     prior: Prior | None,
     sparse_map: SparseMap,
-    chosen: NDArray[np.int64],
+    reference_rows: NDArray[np.int64],
     same_place_m: float | None = None,
     headings: int = 0,
 ) -> list[Pose]:
@@ -41,23 +41,24 @@ def starts(
     Args:
         prior: prior of the query, finite.
         sparse_map: the map.
-        chosen: rows of the reference images in ``sparse_map.names``, best first; at least one.
+        reference_rows: rows of the reference images in ``sparse_map.names``, best first; at least
+            one.
         same_place_m: without a prior, reference images farther apart than this (metres) are
             separate starts though they share a heading; None for never.
         headings: number of evenly spaced headings that are tried where the heading is unknown; 0
-            for those of the reference images.
+            tries the headings of the reference images.
     """
-    posed = [sparse_map.images[sparse_map.names[int(row)]].pose for row in chosen]
+    poses = [sparse_map.images[sparse_map.names[int(row)]].pose for row in reference_rows]
     if prior is None or not (prior.has_position or prior.has_heading):
-        return _rotate_to_headings(posed[0], headings) or _distinct_headings(posed, same_place_m)
-    rotated = _rotate_to_headings(posed[0], headings) or _distinct_headings(posed)
+        return _rotate_to_headings(poses[0], headings) or _distinct_headings(poses, same_place_m)
+    rotated = _rotate_to_headings(poses[0], headings) or _distinct_headings(poses)
     rotations = [pose.rotation for pose in rotated]
     if prior.has_heading:
         rotations = [torch.from_numpy(np.array(prior.cam_from_world_rotation, np.float64))]
     if not prior.has_position:
-        return [Pose(rotations[0], -rotations[0] @ pose.centre()) for pose in posed]
+        return [Pose(rotations[0], -rotations[0] @ pose.centre()) for pose in poses]
     position = np.array(prior.position, np.float64)
-    reference_centres = [pose.centre().numpy() for pose in posed]
+    reference_centres = [pose.centre().numpy() for pose in poses]
     altitudes = [position[2]]
     largest_sigma = _UNKNOWN_ALTITUDE_SHARE * sparse_map.height_above(reference_centres[0])
     if prior.position_sigma is not None and prior.position_sigma[2] > largest_sigma:
@@ -99,7 +100,7 @@ def _distinct_heights(heights: Sequence[float]) -> list[int]:
     return kept
 
 
-def _distinct_headings(posed: Sequence[Pose], same_place_m: float | None = None) -> list[Pose]:
+def _distinct_headings(poses: Sequence[Pose], same_place_m: float | None = None) -> list[Pose]:
     """Return poses, each of which differs in heading from all poses kept before it.
 
     With ``same_place_m``, it is compared only with poses nearer than that (metres).
@@ -107,7 +108,7 @@ def _distinct_headings(posed: Sequence[Pose], same_place_m: float | None = None)
     same_heading = math.radians(_SAME_HEADING_DEG)
     same_place = math.inf if same_place_m is None else same_place_m
     kept: list[Pose] = []
-    for pose in posed:
+    for pose in poses:
         heading = north_angle(pose.rotation.numpy())
         near = [
             other for other in kept if float((other.centre() - pose.centre()).norm()) < same_place

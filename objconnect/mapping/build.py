@@ -85,7 +85,7 @@ def _build(scene: Scene, method: Method, cluster: str | None, options: MapOption
         "sfm": (reconstruct, 2 * len(images) + len(pairs) + ADJUSTMENTS),
     }[method]
     remove_partial(path)
-    supplemented = (scene.map_path / SUPPLEMENT).exists()
+    had_supplement = (scene.map_path / SUPPLEMENT).exists()
     digest = _digest(scene.images_root, images, pairs)
     with resumable_file(path / _WORK, f"{digest}.db") as database:
         with (
@@ -104,16 +104,16 @@ def _build(scene: Scene, method: Method, cluster: str | None, options: MapOption
             photographs = digests_in(scene.images_root, sparse_map.names)
             write_features(folder / FEATURES, features, features_key(photographs, str(_SIFT)))
         scene = finish_scene(path, scene.manifest)
-        if supplemented:
+        if had_supplement:
             log.warning("the new map of %s lacks the points that 'supplement' had added", path)
-        rendered = scene.manifest.preset is not None
-        if rendered:
+        is_rendered = scene.manifest.preset is not None
+        if is_rendered:
             draw_pictures(scene)
     instances = scene.layers_of_map(sparse_map, "instance")
     owners = objects_of_points(
         len(sparse_map.xyz), ((image, layers["instance"]) for image, layers in instances)
     )
-    kinds = class_coverage(scene, sparse_map, features) if rendered else {}
+    kinds = class_coverage(scene, sparse_map, features) if is_rendered else {}
     in_view = [item for item in scene.objects.objects if item.id in ids_in_view]
     objects = ObjectTruth(in_view, owners)
     return report(sparse_map, images, objects, len(pairs), kinds, options.model_dump(mode="json"))

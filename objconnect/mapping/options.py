@@ -20,8 +20,8 @@ class MapOptions(Config):
     max_neighbours: int = Field(
         20,
         ge=1,
-        description="Maximum number of photographs with which each one is matched, those of "
-        "largest overlap.",
+        description="Maximum number of photographs with which each one is matched, in the "
+        "order of overlap.",
     )
     following: int = Field(
         4,

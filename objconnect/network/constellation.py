@@ -23,7 +23,7 @@ from objconnect.network.config import ConstellationConfig
 # Unit of the offsets between neighbours, metres.
 _UNIT_M: Final = 10.0
 # Number of nodes whose neighbours are computed at once, which bounds memory.
-_AT_ONCE: Final = 512
+_BATCH_NODES: Final = 512
 # Number of channels of an edge.
 _EDGE_SIZE: Final = 12
 
@@ -39,8 +39,10 @@ class _Layer(nn.Module):
         self.weight = nn.Linear(size, 1)
         self.join = nn.Sequential(nn.Linear(2 * size, size), nn.ReLU(), nn.Linear(size, size))
 
-    def forward(self, nodes: Tensor, near: Tensor, edges: Tensor, exists: Tensor) -> Tensor:
-        neighbours = self.other(nodes)[:, near]
+    def forward(
+        self, nodes: Tensor, neighbour_rows: Tensor, edges: Tensor, exists: Tensor
+    ) -> Tensor:
+        neighbours = self.other(nodes)[:, neighbour_rows]
         message = (self.own(nodes)[:, :, None] + neighbours + self.where(edges)).relu()
         weight = torch.sigmoid(self.weight(message)) * exists[..., None]
         mean = (weight * message).sum(2) / weight.sum(2).clamp_min(1.0)
@@ -83,8 +85,8 @@ class ConstellationGraph(nn.Module):
         if count > 0:
             # Rows are computed in parts, because all distances of a large map do not fit into
             # memory.
-            for first in range(0, len(xy), _AT_ONCE):
-                last = min(first + _AT_ONCE, len(xy))
+            for first in range(0, len(xy), _BATCH_NODES):
+                last = min(first + _BATCH_NODES, len(xy))
                 rows = torch.arange(first, last, device=device)
                 distance = torch.cdist(xy[None, rows], xy[None])[0]
                 distance[rows - first, rows] = math.inf
@@ -98,7 +100,7 @@ class ConstellationGraph(nn.Module):
         xy: Tensor,
         rise: Tensor,
         side: Tensor,
-        near: Tensor,
+        neighbour_rows: Tensor,
         exists: Tensor,
     ) -> Tensor:
         """Return unit vectors (H, N, out) of N objects under H hypotheses.
@@ -108,22 +110,22 @@ class ConstellationGraph(nn.Module):
             xy: (H, N, 2) positions to the east and north, metres.
             rise: (H, N) heights of the centres above the ground, metres.
             side: (H, N) sides of squares of the objects' sizes, metres.
-            near: (N, k) rows of the neighbours.
+            neighbour_rows: (N, k) rows of the neighbours.
             exists: (N, k) 1 if the neighbour exists, else 0.
         """
         extent = torch.stack([side.clamp_min(0.1).log(), rise.clamp(-5, 50) / 5], -1)
         per_hypothesis = vectors.expand(len(xy), -1, -1)
         nodes = self.node(torch.cat([per_hypothesis, extent], -1))
         if len(self.layers):
-            edges = _edges(xy, near)
+            edges = _edges(xy, neighbour_rows)
             for layer in self.layers:
-                nodes = layer(nodes, near, edges, exists)
+                nodes = layer(nodes, neighbour_rows, edges, exists)
         return functional.normalize(self.out(nodes), dim=-1)
 
 
-def _edges(xy: Tensor, near: Tensor) -> Tensor:
+def _edges(xy: Tensor, neighbour_rows: Tensor) -> Tensor:
     """Return the encoded offsets from nodes to their neighbours, (H, N, k, _EDGE_SIZE)."""
-    offset = (xy[:, near] - xy[:, :, None]) / _UNIT_M
+    offset = (xy[:, neighbour_rows] - xy[:, :, None]) / _UNIT_M
     length = offset.norm(dim=-1, keepdim=True)
     bounded = offset / (1 + length)
     waves = [wave(offset * scale) for scale in (0.8, 2.5) for wave in (torch.sin, torch.cos)]

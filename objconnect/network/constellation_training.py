@@ -106,7 +106,7 @@ class TrainingScene(NamedTuple):
 
 
 def build_training_scene(scene: Scene, finder: ObjectFinder) -> TrainingScene:
-    """Find the objects of a scene's map and of those of its queries that look down.
+    """Find the objects of a scene's map and of its queries that look down.
 
     Raises:
         InputError: the scene has no map, or a photograph is broken.
@@ -164,7 +164,7 @@ def describe_query(
     query: TrainingQuery,
     rows: NDArray[np.int64],
     errors: tuple[float, float] = (0.0, 1.0),
-    moved: NDArray[np.float64] | None = None,
+    position_errors: NDArray[np.float64] | None = None,
 ) -> Tensor:
     """Return unit vectors (n, D) of a part of the objects of a query; the rest is left out.
 
@@ -173,15 +173,15 @@ def describe_query(
         query: the query.
         rows: (n,) rows of the objects.
         errors: error of the heading (rad), and factor on the height.
-        moved: (n, 2) errors of the objects' positions, metres.
+        position_errors: (n, 2) errors of the objects' positions, metres.
     """
     layout, (turn, stretch) = query.layout, errors
     cosine, sine = np.cos(turn), np.sin(turn)
     turned = layout.offset[rows] @ np.array([[cosine, -sine], [sine, cosine]])
     height = query.height * stretch
-    xy = graph.to_tensor(turned * height + (0 if moved is None else moved))
+    xy = graph.to_tensor(turned * height + (0 if position_errors is None else position_errors))
     near, exists = graph.neighbours(xy)
-    described: Tensor = graph(
+    vectors: Tensor = graph(
         layout.vectors[torch.from_numpy(rows)].to(xy.device),
         xy[None],
         graph.to_tensor(layout.rise[rows] * height)[None],
@@ -189,7 +189,7 @@ def describe_query(
         near,
         exists,
     )
-    return described[0]
+    return vectors[0]
 
 
 def train_graph(
@@ -220,7 +220,7 @@ def train_graph(
             scene, queries = usable[rng.integers(len(usable))]
             left_out = rng.uniform(0, _MISSING_LANDMARKS)
             kept = np.flatnonzero(rng.random(len(scene.landmarks)) >= left_out)
-            # Rows after landmarks are left out. The last entry, at -1, stands for no landmark.
+            # Rows after landmarks are left out. The last entry, at -1, is for no landmark.
             new_row = np.full(len(scene.landmarks) + 1, -1)
             new_row[kept] = np.arange(len(kept))
             landmark_vectors = describe_landmarks(graph, scene.landmarks.select(kept))
@@ -266,13 +266,13 @@ def _query_loss(
         float(rng.normal(0, np.radians(options.turn_deg))),
         float(np.exp(rng.normal(0, options.stretch))),
     )
-    moved = rng.normal(0, options.moved_m, (len(rows), 2))
+    position_errors = rng.normal(0, options.moved_m, (len(rows), 2))
     target = new_row[query.landmark[rows]]
     known = np.flatnonzero(target >= 0)
     if len(known) < 2:
         return None
-    described = describe_query(graph, query, rows, errors, moved)
-    similarity = graph.sharpness.exp() * described @ landmark_vectors.T
+    vectors = describe_query(graph, query, rows, errors, position_errors)
+    similarity = graph.sharpness.exp() * vectors @ landmark_vectors.T
     objects, landmarks = (
         torch.from_numpy(each).to(similarity.device) for each in (known, target[known])
     )
@@ -289,25 +289,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True, help="file of weights to write")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--device", default=AUTO, help="auto, cpu, cuda or cuda:NUMBER")
-    given = parser.parse_args(arguments)
+    args = parser.parse_args(arguments)
     try:
-        device = torch_device(given.device)
-        network = read_network(given.weights)[0].to(device)
+        device = torch_device(args.device)
+        network = read_network(args.weights)[0].to(device)
         if network.detector is None:
             raise InputError(
-                f"{given.weights} has no detector of objects: train one with 'objconnect train "
+                f"{args.weights} has no detector of objects: train one with 'objconnect train "
                 "objects'"
             )
         extract = MapExtractor(network, LONGER_SIDE_PX, "float32")
         finder = ObjectFinder(extract, network.detector)
-        options = ConstellationTraining(seed=given.seed)
-        scenes = [build_training_scene(Scene.open(path), finder) for path in given.scenes]
+        options = ConstellationTraining(seed=args.seed)
+        scenes = [build_training_scene(Scene.open(path), finder) for path in args.scenes]
         config = ConstellationConfig(vector=network.detector.config.vector)
         graph = train_graph(scenes, config, options, device)
-        whole = start_from(given.weights, {"constellation": config.model_dump()})
-        assert whole.constellation is not None
-        whole.constellation.load_state_dict(graph.state_dict())
-        write_weights(given.out, whole, whole.config.model_dump(mode="json"))
+        updated = start_from(args.weights, {"constellation": config.model_dump()})
+        assert updated.constellation is not None
+        updated.constellation.load_state_dict(graph.state_dict())
+        write_weights(args.out, updated, updated.config.model_dump(mode="json"))
     except InputError as error:
         print(f"objconnect: {error}", file=sys.stderr)
         return 2

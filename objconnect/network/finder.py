@@ -27,7 +27,8 @@ from objconnect.network.object_matching import ObjectMatcher
 from objconnect.network.object_pairs import Bounds
 from objconnect.scene.localizer import Prior, Query
 
-# Number of evenly spaced headings that are tried if the heading is unknown. Poses near them count.
+# Number of evenly spaced headings that are tried if the heading is unknown. Poses with headings
+# near them are allowed.
 _HEADINGS: Final = 24
 
 
@@ -62,8 +63,8 @@ class ObjectSearch:
     ) -> None:
         assert network.detector is not None and network.constellation is not None
         self._graph, self._options = network.constellation, options
-        self._find = ObjectFinder(extract, network.detector)
-        self._connect: ObjectMatcher | None = None
+        self._finder = ObjectFinder(extract, network.detector)
+        self._matcher: ObjectMatcher | None = None
         self._observer: MapObjects | None = None
         self.is_first = True
 
@@ -72,7 +73,7 @@ class ObjectSearch:
 
         It is None if the cache holds the objects.
         """
-        self._observer = self._find.observer(source)
+        self._observer = self._finder.observer(source)
         return self._observer
 
     def prepare(self, source: ReferenceSource) -> None:
@@ -81,23 +82,23 @@ class ObjectSearch:
         Raises:
             InputError: a photograph is broken or changed meanwhile.
         """
-        landmarks = self._find.load_landmarks(source, self._observer)
+        landmarks = self._finder.load_landmarks(source, self._observer)
         self._observer, sparse_map = None, source.map_cache.sparse_map
         ground = map_ground(sparse_map)
         # A map of street-level photographs has no objects seen from above.
-        self._connect = None
+        self._matcher = None
         if len(landmarks):
-            self._connect = ObjectMatcher(self._graph, landmarks, ground, self._options.candidates)
+            self._matcher = ObjectMatcher(self._graph, landmarks, ground, self._options.candidates)
         self._heights = [sparse_map.height_above(centre) for centre in sparse_map.centres]
         self.is_first = len(landmarks) <= self._options.most_landmarks
 
     def find(self, query: Query) -> list[Candidate]:
         """Return candidates, best first; none in a map without objects."""
-        if self._connect is None:
+        if self._matcher is None:
             return []
-        found = self._find(query.image, query.camera)
+        found = self._finder(query.image, query.camera)
         tried = allowed_poses(query.prior, self._heights, self._options.tilts_deg)
-        return self._connect(found, query.camera, *tried)
+        return self._matcher(found, query.camera, *tried)
 
 
 def allowed_poses(

@@ -31,8 +31,8 @@ class FeaturePyramid(nn.Module):
         """
         super().__init__()
         self.sizes = [size] * len(strides)
-        self._wanted = [STRIDES.index(stride) for stride in strides]
-        depths = channels(width)[::-1][: self._wanted[-1] + 1]
+        self._level_steps = [STRIDES.index(stride) for stride in strides]
+        depths = channels(width)[::-1][: self._level_steps[-1] + 1]
         self.lateral = nn.ModuleList(nn.Conv2d(depth, size, 1) for depth in depths)
         self.smooth = nn.ModuleList(
             nn.Sequential(
@@ -52,7 +52,7 @@ class FeaturePyramid(nn.Module):
         Args:
             blocks: outputs of the encoder's blocks, from the finest stride of the pyramid to 16.
         """
-        smooth = dict(zip(self._wanted, self.smooth, strict=True))
+        smooth = dict(zip(self._level_steps, self.smooth, strict=True))
         step = self.lateral[0](blocks[-1])
         for number, lateral in enumerate(self.lateral):
             if number:

@@ -97,7 +97,7 @@ class Landmarks:
 
     @staticmethod
     def of(arrays: Mapping[str, NDArray[Any]]) -> Landmarks:
-        """Return landmarks from what ``arrays`` returned.
+        """Return landmarks from the result of ``arrays``.
 
         Raises:
             ValueError: the shapes of the arrays are not those of landmarks.
@@ -115,13 +115,13 @@ class ObjectRays(NamedTuple):
     """Rays of a camera to objects; lengths are per unit of depth.
 
     Attributes:
-        along: (N, 3) from the camera to the centres, in the axes of the world.
+        directions: (N, 3) from the camera to the centres, in the axes of the world.
         sides: (N,) sides of the objects.
         rises: (N,) heights of the centres above the objects' feet.
         drops: (N,) heights of the camera above the objects' feet; NaN for invalid rays.
     """
 
-    along: NDArray[np.float64]
+    directions: NDArray[np.float64]
     sides: NDArray[np.float64]
     rises: NDArray[np.float64]
     drops: NDArray[np.float64]
@@ -132,10 +132,10 @@ def object_rays(found: Detections, camera: Camera, cam_from_world: Tensor) -> Ob
     rays, valid = camera.unproject(found.xy.double())
     rays = rays.double() / rays[:, 2:]
     focal = float(np.mean(camera.focal))
-    along = (rays @ cam_from_world).numpy()
+    directions = (rays @ cam_from_world).numpy()
     rises, sides = found.rise.double().numpy() / focal, found.side.double().numpy() / focal
-    drops = np.where(valid.numpy(), rises - along[:, 2], np.nan)
-    return ObjectRays(along, sides, rises, drops)
+    drops = np.where(valid.numpy(), rises - directions[:, 2], np.nan)
+    return ObjectRays(directions, sides, rises, drops)
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,7 @@ def lay_out(found: Detections, camera: Camera, cam_from_world: Tensor) -> Object
     rays = object_rays(found, camera, cam_from_world)
     rows = np.flatnonzero(rays.drops > _MIN_LEVEL_DROP)
     depth = 1 / rays.drops[rows]
-    offset = depth[:, None] * rays.along[rows, :2]
+    offset = depth[:, None] * rays.directions[rows, :2]
     vectors = found.vectors[torch.from_numpy(rows)]
     return ObjectLayout(offset, rays.rises[rows] * depth, rays.sides[rows] * depth, vectors, rows)
 
@@ -186,7 +186,7 @@ def place_on_ground(
     height = np.full(len(drops), ground.height_at(centre[0], centre[1]))
     for _ in range(_ROUNDS):
         depth = (centre[2] - height) / drops
-        xyz = centre + depth[:, None] * rays.along
+        xyz = centre + depth[:, None] * rays.directions
         height = np.array([ground.height_at(x, y) if x == x else 0.0 for x, y, _ in xyz.tolist()])
     return PlacedObjects(xyz, rays.sides * depth, rays.rises * depth)
 
@@ -197,8 +197,8 @@ class View(NamedTuple):
     name: str
     camera: Camera
     pose: Pose
-    found: Detections
-    placed: PlacedObjects
+    detections: Detections
+    placed_objects: PlacedObjects
 
 
 class Tracks(NamedTuple):
@@ -222,19 +222,22 @@ def merge(views: Sequence[View]) -> tuple[Landmarks, Tracks]:
     photographs; then the best of the remaining objects forms the next group, and so on. A group is
     a landmark if enough of the photographs that have it in view detected it.
     """
-    size = views[0].found.vectors.shape[1] if views else 1
-    rows = [np.flatnonzero(np.isfinite(view.placed.xyz).all(1)) for view in views]
+    size = views[0].detections.vectors.shape[1] if views else 1
+    rows = [np.flatnonzero(np.isfinite(view.placed_objects.xyz).all(1)) for view in views]
 
     def join(values: Callable[[View], NDArray[np.float64]], *shape: int) -> NDArray[np.float64]:
         parts = [values(view)[kept] for view, kept in zip(views, rows, strict=True)]
         return np.concatenate([np.empty((0, *shape)), *parts])
 
-    xyz = join(lambda view: view.placed.xyz, 3)
-    vectors = join(lambda view: view.found.vectors.numpy(), size)
-    scores = join(lambda view: view.found.score.numpy())
-    sides, rises = join(lambda view: view.placed.sides), join(lambda view: view.placed.rises)
+    xyz = join(lambda view: view.placed_objects.xyz, 3)
+    vectors = join(lambda view: view.detections.vectors.numpy(), size)
+    scores = join(lambda view: view.detections.score.numpy())
+    sides, rises = (
+        join(lambda view: view.placed_objects.sides),
+        join(lambda view: view.placed_objects.rises),
+    )
     photograph = np.repeat(np.arange(len(views)), [len(kept) for kept in rows])
-    groups = _groups(xyz, vectors, scores, sides, photograph)
+    groups = _group_objects(xyz, vectors, scores, sides, photograph)
     centres = np.array([np.median(xyz[group], 0) for group in groups]).reshape(-1, 3)
     mean_vectors = np.array([vectors[group].mean(0) for group in groups]).reshape(-1, size)
     mean_vectors /= np.maximum(np.linalg.norm(mean_vectors, axis=1, keepdims=True), 1e-9)
@@ -255,7 +258,7 @@ def merge(views: Sequence[View]) -> tuple[Landmarks, Tracks]:
         medians(scores),
         detected[kept],
     )
-    xy = join(lambda view: view.found.xy.double().numpy(), 2)
+    xy = join(lambda view: view.detections.xy.double().numpy(), 2)
     kept_groups = [group for group, keep in zip(groups, kept.tolist(), strict=True) if keep]
     observations = np.array([row for group in kept_groups for row in group], np.int64)
     landmark = np.repeat(np.arange(len(kept_groups)), [len(group) for group in kept_groups])
@@ -263,7 +266,7 @@ def merge(views: Sequence[View]) -> tuple[Landmarks, Tracks]:
     return landmarks, Tracks(landmark, names, xy[observations])
 
 
-def _groups(
+def _group_objects(
     xyz: NDArray[np.float64],
     vectors: NDArray[np.float64],
     scores: NDArray[np.float64],

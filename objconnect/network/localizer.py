@@ -46,7 +46,7 @@ class ObjConnectLocalizer(FeaturemetricLocalizer):
             digest.
 
     Raises:
-        InputError: the weights are missing, damaged or those of another network, or ``objects`` is
+        InputError: the weights are missing, damaged or of another network, or ``objects`` is
             given and they have no learned objects.
     """
 

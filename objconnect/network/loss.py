@@ -1,7 +1,7 @@
 """Training losses: equations (6) to (8) of the object-connect paper, and a contrastive loss.
 
 Equation (6) is the sum of (7), the distance of features, and (8), the distance of projections.
-Equation (7) alone is smallest when all features are equal. Features are therefore normalised, and
+Equation (7) alone is smallest if all features are equal. Features are therefore normalised, and
 the contrastive loss of ``learning.training.contrastive`` is added.
 """
 
@@ -48,26 +48,26 @@ def feature_distance(levels: Sequence[Level], batch: PairBatch) -> Tensor:
 
 
 def pose_distance(
-    by_level: Sequence[Pose],
+    level_poses: Sequence[Pose],
     strides: Sequence[int],
     batch: PairBatch,
 ) -> tuple[Tensor, list[Tensor]]:
     """Equation (8), L_3d-d: mean over levels of the Huber distance of projections by two poses.
 
-    It is the pseudo-Huber function up to 50 pixels, and a finer level counts only if the coarser
+    It is the pseudo-Huber function up to 50 pixels, and a finer level is used only if the coarser
     one ended near the truth. PixLoc is trained in the same way, so the two methods differ in their
     features alone.
 
     Args:
-        by_level: predicted poses after each level, coarse to fine.
+        level_poses: predicted poses after each level, coarse to fine.
         strides: strides of the levels.
         batch: pairs with the true poses.
 
     Returns:
         The loss, and the mean pseudo-Huber distance (B,) after each level (``pose_loss``).
     """
-    seen = VisiblePoints(batch.points, batch.intrinsics_b, batch.valid)
-    return pose_loss(by_level, strides, batch.b_from_a, seen)
+    visible = VisiblePoints(batch.points, batch.intrinsics_b, batch.valid)
+    return pose_loss(level_poses, strides, batch.b_from_a, visible)
 
 
 def total(
@@ -96,7 +96,8 @@ def measure_correspondence(
     """Measure how well each object of image a corresponds to an object of image b.
 
     The measure is the target of the objects' confidence. It is the intersection over union of the
-    points of the object and those of an object of image b, the largest over all objects of image b.
+    points of the object and the points of an object of image b, the largest over all objects of
+    image b.
 
     Args:
         labels_a: object (B, P) of each point in image a, negative for none.
@@ -118,16 +119,16 @@ def measure_correspondence(
     return (shared / either).amax(2), in_a >= _MIN_POINTS
 
 
-def object_confidence_loss(confidence: Tensor, target: Tensor, counts: Tensor) -> Tensor:
+def object_confidence_loss(confidence: Tensor, target: Tensor, has_target: Tensor) -> Tensor:
     """Return the cross entropy between the objects' confidence and its target.
 
     Args:
         confidence: (B, N) confidences of the objects.
         target: (B, N) from ``measure_correspondence``.
-        counts: (B, N) bool, which objects count.
+        has_target: (B, N) bool, whether an object is used.
     """
     # The loss is computed in single precision, because in half precision one minus a small number
     # would be one.
     p = confidence.float().clamp(1e-4, 1 - 1e-4)
     entropy = -(target * p.log() + (1 - target) * (1 - p).log())
-    return (entropy * counts).sum() / counts.sum().clamp(min=1)
+    return (entropy * has_target).sum() / has_target.sum().clamp(min=1)

@@ -15,7 +15,7 @@ from objconnect.network.segmentation import NOTHING, Labels, keep_largest
 from objconnect.scene.errors import InputError
 from objconnect.scene.storage.files import parse_json, read_text, require_readable
 
-# Number of objects to keep when all are kept: a label picture of 16 bits has fewer.
+# Maximum number of objects if all are kept: a label picture of 16 bits has fewer.
 _MAX_LABELS = 1 << 16
 # Maximum size of a label picture or mask (33 megapixels), whose labels (int64) take 0.27 GB.
 _MAX_PIXELS = 1 << 25
@@ -66,10 +66,10 @@ def read_label_png(path: Path, count: int) -> Labels:
     return keep_largest(labels, count)
 
 
-def _check_size(width: int, height: int, what: str) -> None:
+def _check_size(width: int, height: int, subject: str) -> None:
     if width * height > _MAX_PIXELS:
         raise InputError(
-            f"{what} has {width} x {height} pixels; the maximum is {_MAX_PIXELS} pixels: make "
+            f"{subject} has {width} x {height} pixels; the maximum is {_MAX_PIXELS} pixels: make "
             "photographs and masks smaller"
         )
 
@@ -117,26 +117,27 @@ def read_coco(path: Path, image: str, count: int) -> Labels:
     return keep_largest(labels, count)
 
 
-def _mask(segmentation: Any, where: str) -> NDArray[np.bool_]:
+def _mask(segmentation: Any, subject: str) -> NDArray[np.bool_]:
     """Decode a mask (H, W) from lengths of alternating runs of zeros and ones, column by column.
 
-    ``where`` names the file and the mask in errors.
+    ``subject`` names the file and the mask in errors.
     """
     if not isinstance(segmentation, dict):
-        raise InputError(f"{where} is a polygon: convert masks to run lengths (RLE)")
+        raise InputError(f"{subject} is a polygon: convert masks to run lengths (RLE)")
     try:
         height, width = (int(side) for side in segmentation["size"])
         counts = segmentation["counts"]
         runs = _runs(counts) if isinstance(counts, str) else [int(run) for run in counts]
     except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
-        raise InputError(f"{where} cannot be read ({error!r}): write the masks again") from None
+        raise InputError(f"{subject} cannot be read ({error!r}): write the masks again") from None
     if min(height, width, *runs) < 0:
-        raise InputError(f"{where} has a negative side or run length: write the masks again")
+        raise InputError(f"{subject} has a negative side or run length: write the masks again")
     if sum(runs) != height * width:
         raise InputError(
-            f"{where} has {sum(runs)} pixels, its size is {width} x {height}: write the masks again"
+            f"{subject} has {sum(runs)} pixels, its size is {width} x {height}: write the masks "
+            "again"
         )
-    _check_size(width, height, where)
+    _check_size(width, height, subject)
     values = np.repeat(np.arange(len(runs)) % 2 == 1, runs)
     return values.reshape(width, height).T
 
@@ -144,7 +145,7 @@ def _mask(segmentation: Any, where: str) -> NDArray[np.bool_]:
 def _runs(text: str) -> list[int]:
     """Decode the run lengths of COCO's string.
 
-    A character minus 48 holds five bits of a number, and a sixth bit that is set when more
+    A character minus 48 holds five bits of a number, and a sixth bit that is set if more
     characters follow. The fifth bit of the last character is the sign. From the fourth number on,
     the string holds differences to the number two places before.
     """
@@ -173,7 +174,8 @@ def read_masks(source: Path, names: Iterable[str]) -> Iterator[tuple[str, Labels
     Args:
         source: folder of label pictures, NAME.png for the photograph NAME.jpg, or a file of COCO
             annotations.
-        names: names of the photographs. If a name has no masks, its last part is tried.
+        names: names of the photographs. If a name has no masks, its last part is tried, the
+            name of the file.
 
     Raises:
         InputError: the source is missing or has masks of none of the photographs, or a file of
@@ -203,7 +205,7 @@ def read_masks(source: Path, names: Iterable[str]) -> Iterator[tuple[str, Labels
 
 
 def _coco_names(path: Path) -> frozenset[str]:
-    """Return the names of the images that have masks; COCO also lists images without."""
+    """Return the names of the images that have masks; COCO lists images without masks too."""
     try:
         content = parse_json(read_text(path, "COCO annotations"))
         ids = {annotation["image_id"] for annotation in content["annotations"]}

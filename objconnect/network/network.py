@@ -301,12 +301,13 @@ def read_network(path: Path) -> tuple[ObjConnectNet, str]:
 def start_from(path: Path, settings: Mapping[str, Any]) -> ObjConnectNet:
     """Return a network for training, initialised from weights of this network or of PixLoc.
 
-    All weights that fit the settings are loaded; if the settings have another decoder, only those
-    of the encoder. A detector or a graph over objects in the settings is initialised at random.
+    All weights that fit the settings are loaded; if the settings have another decoder, only the
+    weights of the encoder. A detector or a graph over objects in the settings is initialised at
+    random.
 
     Args:
         path: file of weights.
-        settings: fields of ``ObjConnectNetConfig`` that replace those of the file.
+        settings: fields of ``ObjConnectNetConfig`` that replace the file's.
 
     Raises:
         InputError: the file does not exist, or none of its weights fit.
@@ -314,12 +315,13 @@ def start_from(path: Path, settings: Mapping[str, Any]) -> ObjConnectNet:
     weights = read_weights(path)
     tensors, config = weights.tensors, weights.config
     if _OWN_FIELD not in config:
-        peer, _ = pixloc.read_network(path)
-        if peer.config.extra_convolutions:
+        pixloc_network, _ = pixloc.read_network(path)
+        if pixloc_network.config.extra_convolutions:
             raise InputError(f"{path} has a VGG19 encoder: give weights with a VGG16 encoder")
-        tensors, theirs = peer.state_dict(), peer.config
-        config = {"width": theirs.width, "decoder": "unet", "steps": theirs.decoder}
-        config |= {"strides": theirs.strides, "dims": theirs.dims}
+        tensors, pixloc_config = pixloc_network.state_dict(), pixloc_network.config
+        config = {"width": pixloc_config.width, "decoder": "unet"}
+        config |= {"steps": pixloc_config.decoder, "strides": pixloc_config.strides}
+        config |= {"dims": pixloc_config.dims}
     replaced = tuple(f"{part}." for part in ("detector", "constellation") if part in settings)
     tensors = {name: each for name, each in tensors.items() if not name.startswith(replaced)}
     if settings.get("decoder", config.get("decoder")) != config.get("decoder"):

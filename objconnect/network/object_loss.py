@@ -24,9 +24,9 @@ _TEMPERATURE: Final = 0.1
 _MIN_PIXELS: Final = 12
 # Standard deviation of the Gaussian around a centre in the heat map, as a share of the object's
 # side.
-_SPREAD: Final = 0.17
+_SIGMA_SHARE: Final = 0.17
 # Error of an offset that is tolerated, as a share of its length.
-_FAR_SHARE: Final = 0.15
+_TOLERANCE_SHARE: Final = 0.15
 # Numerical guards of logarithms: of probabilities, and of sides (pixels).
 _MIN_PROBABILITY, _MIN_SIDE_PX = 1e-4, 0.5
 
@@ -83,8 +83,8 @@ def _targets(objects: ImageObjects, stride: int) -> _Targets:
     heat = torch.zeros(*labels.shape, device=labels.device)
     centres, cells = objects.centres / stride, objects.sides / stride
     found = is_findable(objects, len(objects.labels))
-    spread = (cells * _SPREAD).clamp(0.6, 4.0)
-    for centre, sigma in zip(centres[found], spread[found], strict=True):
+    sigmas = (cells * _SIGMA_SHARE).clamp(0.6, 4.0)
+    for centre, sigma in zip(centres[found], sigmas[found], strict=True):
         centre_cell = centre.floor() + 0.5
         squared = (middle - centre_cell[:, None, None]).square().sum(0)
         heat = torch.maximum(heat, torch.exp(-squared / (2 * sigma**2)))
@@ -129,9 +129,9 @@ def geometry_loss(
         return (error * weight).sum() / total
 
     # The tolerance of an offset grows with its length.
-    far = 1 + _FAR_SHARE * offset.abs().sum(1)
-    pointing = distance(maps.offset[:, 0] / far, offset[:, 0] / far)
-    pointing = pointing + distance(maps.offset[:, 1] / far, offset[:, 1] / far)
+    tolerance = 1 + _TOLERANCE_SHARE * offset.abs().sum(1)
+    pointing = distance(maps.offset[:, 0] / tolerance, offset[:, 0] / tolerance)
+    pointing = pointing + distance(maps.offset[:, 1] / tolerance, offset[:, 1] / tolerance)
     losses = {
         "centres": -(positive + negative) / is_centre.sum().clamp(min=1),
         "inside": functional.binary_cross_entropy_with_logits(

@@ -41,7 +41,7 @@ _DETECTIONS: Final = "detections"
 _ARRAYS: Final = ("xy", "score", "side", "rise", "vectors")
 # Side of the cells of the grid of the ground's heights, metres.
 _GROUND_M: Final = 4.0
-# Things on the ground up to this width, metres, do not count as ground.
+# Things on the ground up to this width, metres, are removed from the heights of the ground.
 _MAX_REMOVED_M: Final = 28.0
 
 
@@ -104,7 +104,7 @@ class ObjectFinder:
         is_known = source.map_cache.holds(_OBJECTS, *self._landmarks_key(source))
         return None if is_known else MapObjects(self, source)
 
-    def load_landmarks(self, source: ReferenceSource, observed: MapObjects | None) -> Landmarks:
+    def load_landmarks(self, source: ReferenceSource, observer: MapObjects | None) -> Landmarks:
         """Return the landmarks of a map, computed unless the cache holds them.
 
         Raises:
@@ -112,9 +112,9 @@ class ObjectFinder:
         """
 
         def rows(_: EarlierRows) -> Rows:
-            found = observed or MapObjects(self, source)
-            landmarks = merge(list(found.views()))[0]
-            found.write()
+            map_objects = observer or MapObjects(self, source)
+            landmarks = merge(list(map_objects.views()))[0]
+            map_objects.write()
             yield "", landmarks.arrays()
 
         store = source.map_cache.store(_OBJECTS, *self._landmarks_key(source), rows=rows)
@@ -163,9 +163,9 @@ class MapObjects:
         Raises:
             InputError: a photograph is missing or broken.
         """
-        ground, down = map_ground(self._source.map_cache.sparse_map), self._images_from_above()
-        with progress_bar("objects of the map", len(down)) as advance:
-            for done, image in enumerate(down, 1):
+        ground, images = map_ground(self._source.map_cache.sparse_map), self._images_from_above()
+        with progress_bar("objects of the map", len(images)) as advance:
+            for done, image in enumerate(images, 1):
                 key = self._map_views.key(image)
                 if self.needs(image, key):
                     self(image, key, *self._map_views(image))
@@ -197,8 +197,8 @@ class MapObjects:
     def _images_from_above(self) -> list[MapImage]:
         """Return the photographs that look down, in the order of their names."""
         map_cache = self._source.map_cache
-        posed = [map_cache.sparse_map.images[name] for name in map_cache.names]
-        return [image for image in posed if looks_down(image.cam_from_world[:3, :3])]
+        images = [map_cache.sparse_map.images[name] for name in map_cache.names]
+        return [image for image in images if looks_down(image.cam_from_world[:3, :3])]
 
 
 def map_ground(sparse_map: SparseMap) -> GroundGrid:

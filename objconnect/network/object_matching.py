@@ -31,19 +31,19 @@ CANDIDATES: Final = 5
 """Default maximum number of candidate poses of a photograph."""
 # Number of the most similar landmarks that an object is matched with.
 _SIMILAR: Final = 24
-# Maximum number of similarities computed at once, which bounds memory, and of hypotheses.
-_AT_ONCE: Final = 4_000_000
+# Maximum numbers of similarities, which bounds memory, and of hypotheses that are rated at once.
+_BATCH_SIMILARITIES: Final = 4_000_000
 _BATCH: Final = 8
-# Number of hypotheses of all attitudes that the graph rates, which bounds time.
-_RATED: Final = 40
+# Maximum number of hypotheses of all attitudes that the graph rates, which bounds time.
+_MAX_RATED: Final = 40
 # Standard deviation of a landmark's distance from its object, metres.
-_NEAR_M: Final = 2.0
-# Rounds of the refinement of a candidate, and the least value of that density for a match in it.
+_DISTANCE_SIGMA_M: Final = 2.0
+# Rounds of the refinement of a candidate, and the least weight of a match in it.
 _REFINEMENTS: Final = 3
-_LEAST_NEAR: Final = 0.05
+_LEAST_WEIGHT: Final = 0.05
 # Least difference of two candidates in position, or else in heading.
-_APART_M: Final = 8.0
-_APART_RAD: Final = math.radians(17)
+_DISTINCT_M: Final = 8.0
+_DISTINCT_RAD: Final = math.radians(17)
 # Least number of objects of a photograph, because three objects fit anywhere in a map.
 _LEAST_OBJECTS: Final = 4
 
@@ -78,7 +78,7 @@ class ObjectMatcher:
         self._xyz = landmarks.xyz
         self._pairs = PairSearch(landmarks, _SIMILAR) if len(landmarks) else None
         with torch.inference_mode():
-            self._described = describe_landmarks(graph, landmarks)
+            self._landmark_vectors = describe_landmarks(graph, landmarks)
 
     @torch.inference_mode()
     def __call__(
@@ -103,15 +103,15 @@ class ObjectMatcher:
         for attitude in attitudes:
             layout = lay_out(found, camera, attitude)
             if len(layout) >= _LEAST_OBJECTS:
-                of_layout = likeness.select(layout.rows)
-                best = self._pairs(layout, of_layout, bounds, _RATED)
+                layout_likeness = likeness.select(layout.rows)
+                best = self._pairs(layout, layout_likeness, bounds, _MAX_RATED)
                 tried.append(_Hypotheses(attitude, layout, *best))
         if not tried:
             return []
-        least = np.sort(np.concatenate([each.scores for each in tried]))[-_RATED:][:1]
+        least = np.sort(np.concatenate([each.scores for each in tried]))[-_MAX_RATED:][:1]
         rated = [self._rate(each, least) for each in tried]
         found_poses = [pose for each in rated for pose in self._candidates_of(each)]
-        kept = self._distinct(sorted(found_poses, key=lambda each: -each[0].score))
+        kept = self._select_distinct(sorted(found_poses, key=lambda each: -each[0].score))
         if len(attitudes) == 1:
             return kept
         return [self._refine(each, found, camera, likeness) for each in kept]
@@ -128,41 +128,45 @@ class ObjectMatcher:
         near, exists = graph.neighbours(graph.to_tensor(layout.offset))
         vectors = layout.vectors.to(near.device)
         offset = layout.offset[:, 0] + 1j * layout.offset[:, 1]
-        batch = max(1, min(_BATCH, _AT_ONCE // (len(layout) * len(self._described))))
+        batch = max(
+            1, min(_BATCH, _BATCH_SIMILARITIES // (len(layout) * len(self._landmark_vectors)))
+        )
         for first in range(0, len(rows), batch):
             part = poses.select(np.arange(first, min(first + batch, len(rows))))
-            where, height = part.turn[:, None] * offset, np.abs(part.turn)[:, None]
+            positions, height = part.turn[:, None] * offset, np.abs(part.turn)[:, None]
             described = graph(
                 vectors,
-                graph.to_tensor(np.stack([where.real, where.imag], -1)),
+                graph.to_tensor(np.stack([positions.real, positions.imag], -1)),
                 graph.to_tensor(layout.rise * height),
                 graph.to_tensor(layout.side * height),
                 near,
                 exists,
             )
-            landmarks, at = self._pairs.matches(offset, part, _NEAR_M)
-            same = (described * self._described[torch.from_numpy(landmarks)]).sum(-1) * sharpness
-            any_ = (described @ self._described.T * sharpness).logsumexp(-1)
-            ratio = (same - any_ + math.log(len(self._described))).clamp_min(0).cpu().numpy()
-            scores[first : first + batch] += (ratio * at).sum(1) / math.sqrt(len(layout))
+            landmarks, weights = self._pairs.matches(offset, part, _DISTANCE_SIGMA_M)
+            same = (described * self._landmark_vectors[torch.from_numpy(landmarks)]).sum(
+                -1
+            ) * sharpness
+            any_ = (described @ self._landmark_vectors.T * sharpness).logsumexp(-1)
+            ratio = (same - any_ + math.log(len(self._landmark_vectors))).clamp_min(0).cpu().numpy()
+            scores[first : first + batch] += (ratio * weights).sum(1) / math.sqrt(len(layout))
         return tried._replace(poses=poses, scores=scores)
 
     def _candidates_of(self, tried: _Hypotheses) -> list[tuple[Candidate, float]]:
         """Return the hypotheses as candidates, each with its heading."""
-        made = []
+        candidates = []
         for turn, place, score in zip(*tried.poses, tried.scores, strict=True):
             heading, height = -float(np.angle(turn)), float(abs(turn))
             rotation = tried.attitude @ so3_exp(heading * UP)
             up = self._ground.height_at(place.real, place.imag) + height
             centre = torch.tensor([place.real, place.imag, up], dtype=torch.float64)
             pose = Pose(rotation, -rotation @ centre)
-            made.append((Candidate(pose, float(score)), heading))
-        return made
+            candidates.append((Candidate(pose, float(score)), heading))
+        return candidates
 
     def _refine(
         self, candidate: Candidate, found: Detections, camera: Camera, likeness: Likeness
     ) -> Candidate:
-        """Return a candidate whose tilt fits the matches, too."""
+        """Return a candidate whose pose, including the tilt, is refined to its matches."""
         assert self._pairs is not None
         pose = candidate.pose
         directions, _ = camera.unproject(found.xy.double())
@@ -173,12 +177,14 @@ class ObjectMatcher:
             height = up - self._ground.height_at(east, north)
             ground = GroundPoses(np.array([height + 0j]), np.array([complex(east, north)]))
             offset = layout.offset[:, 0] + 1j * layout.offset[:, 1]
-            rows, at = (each[0] for each in self._pairs.matches(offset, ground, _NEAR_M))
-            weights = at * (at > _LEAST_NEAR) * likeness.ratio[layout.rows, rows]
+            rows, weights = (
+                each[0] for each in self._pairs.matches(offset, ground, _DISTANCE_SIGMA_M)
+            )
+            weights = weights * (weights > _LEAST_WEIGHT) * likeness.ratio[layout.rows, rows]
             pose = refine_pose(pose, rays[layout.rows], self._xyz[rows], weights)
         return replace(candidate, pose=pose)
 
-    def _distinct(self, ranked: Sequence[tuple[Candidate, float]]) -> list[Candidate]:
+    def _select_distinct(self, ranked: Sequence[tuple[Candidate, float]]) -> list[Candidate]:
         """Return the first candidates that differ in position or heading."""
         kept: list[tuple[Candidate, float]] = []
         for one, heading in ranked:
@@ -189,18 +195,18 @@ class ObjectMatcher:
         return [one for one, _ in kept]
 
 
-def _differs(one: Candidate, heading: float, other: Candidate, its_heading: float) -> bool:
+def _differs(one: Candidate, heading: float, other: Candidate, other_heading: float) -> bool:
     """Return whether two candidates differ in position or heading."""
-    away = (one.pose.centre() - other.pose.centre())[:2].norm()
-    turn = abs((heading - its_heading + math.pi) % math.tau - math.pi)
-    return float(away) > _APART_M or turn > _APART_RAD
+    distance = (one.pose.centre() - other.pose.centre())[:2].norm()
+    turn = abs((heading - other_heading + math.pi) % math.tau - math.pi)
+    return float(distance) > _DISTINCT_M or turn > _DISTINCT_RAD
 
 
 def describe_landmarks(graph: ConstellationGraph, landmarks: Landmarks) -> Tensor:
     """Return unit vectors (M, D) of landmarks among their neighbours."""
     xy = graph.to_tensor(landmarks.xyz[:, :2])
     near, exists = graph.neighbours(xy)
-    described: Tensor = graph(
+    vectors: Tensor = graph(
         graph.to_tensor(landmarks.vectors),
         xy[None],
         graph.to_tensor(landmarks.rises)[None],
@@ -208,4 +214,4 @@ def describe_landmarks(graph: ConstellationGraph, landmarks: Landmarks) -> Tenso
         near,
         exists,
     )
-    return described[0]
+    return vectors[0]

@@ -38,8 +38,8 @@ _STRETCH: Final = 1.2
 _TURN: Final = math.radians(15)
 # Standard deviation of a landmark's distance from its object, metres: of hypotheses, and of poses
 # in the refinement.
-_NEAR_M: Final = 1.5
-_REFINED_NEAR_M: Final = 2.0
+_DISTANCE_SIGMA_M: Final = 1.5
+_REFINED_SIGMA_M: Final = 2.0
 _ROUNDS: Final = 2
 # Largest change in one round of the refinement: heading (rad) and logarithm of the height.
 _MOST_CHANGE: Final = 0.3
@@ -48,8 +48,8 @@ _BATCH: Final = 4096
 # Number of the best hypotheses, among which distinct ones are chosen.
 _BEST: Final = 4000
 # Least differences of distinct hypotheses: metres or, at one position, rad.
-_APART_M: Final = 4.0
-_APART_RAD: Final = 0.2
+_DISTINCT_M: Final = 4.0
+_DISTINCT_RAD: Final = 0.2
 # Side of a cell of the nearest landmarks, metres, and the largest number of cells along an axis.
 _CELL_M: Final = 1.0
 _MOST_CELLS: Final = 4096
@@ -85,8 +85,8 @@ class Bounds:
     """Poses that are allowed.
 
     Attributes:
-        headings: radians; those near one of them are allowed.
-        heights: metres; those near or between them are allowed.
+        headings: radians; headings near one of these are allowed.
+        heights: metres; heights near or between these are allowed.
         region: centre (east, north) and radius, metres; None for everywhere.
     """
 
@@ -109,7 +109,7 @@ class Bounds:
 
 
 class Likeness(NamedTuple):
-    """How alike N objects and M landmarks are.
+    """The similarity of N objects and M landmarks.
 
     Attributes:
         ratio: (N, M) log-likelihood ratio of an object being this landmark rather than any one;
@@ -134,15 +134,15 @@ class PairSearch:
     """
 
     def __init__(self, landmarks: Landmarks, similar: int) -> None:
-        self._at: _Complex = landmarks.xyz[:, 0] + 1j * landmarks.xyz[:, 1]
+        self._positions: _Complex = landmarks.xyz[:, 0] + 1j * landmarks.xyz[:, 1]
         self._log_sides = np.log(np.maximum(landmarks.sides.astype(np.float64), 0.1))
         self._vectors = torch.nn.functional.normalize(torch.from_numpy(landmarks.vectors), dim=1)
         self._tiles = _tiles(landmarks.xyz[:, :2], np.arange(len(landmarks)))
         self._similar = min(similar, *map(len, self._tiles))
-        self._nearest = _NearestLandmarks(self._at)
+        self._nearest = _NearestLandmarks(self._positions)
 
     def compare(self, vectors: Tensor) -> Likeness:
-        """Return how alike objects with unit vectors (N, V) and the landmarks are."""
+        """Return the similarity of objects with unit vectors (N, V) and the landmarks."""
         cosine = vectors.float() @ self._vectors.T
         rows = [tile[cosine[:, tile].topk(self._similar).indices.numpy()] for tile in self._tiles]
         ratio = _SHARPNESS * cosine
@@ -160,23 +160,23 @@ class PairSearch:
         offset: _Complex = layout.offset[:, 0] + 1j * layout.offset[:, 1]
         poses = self._hypotheses(layout, offset, likeness)
         poses = poses.select(bounds.allow(poses))
-        kept = poses.select(_distinct(poses, self._scores(offset, likeness, poses), count))
+        kept = poses.select(_select_distinct(poses, self._scores(offset, likeness, poses), count))
         for _ in range(_ROUNDS):
             kept = self._refine(offset, likeness, kept)
         kept = kept.select(bounds.allow(kept))
         return kept, self._scores(offset, likeness, kept)
 
     def matches(
-        self, offset: _Complex, poses: GroundPoses, near_m: float = _NEAR_M
+        self, offset: _Complex, poses: GroundPoses, sigma_m: float = _DISTANCE_SIGMA_M
     ) -> tuple[NDArray[np.int64], _Real]:
-        """Return the landmark nearest to each object (H, N), and 1 where it is at the object.
+        """Return the landmark nearest to each object (H, N), and the weight (H, N) of the match.
 
-        It falls to 0 with the distance, like a normal density of ``near_m`` metres.
+        The weight is a Gaussian of the distance, 1 at the object, with a sigma of ``sigma_m``.
         """
-        where = poses.carry(offset)
-        rows, is_inside = self._nearest(where)
-        away = np.abs(self._at[rows] - where)
-        return rows, np.exp(-np.square(away / near_m) / 2) * is_inside
+        positions = poses.carry(offset)
+        rows, is_inside = self._nearest(positions)
+        distance = np.abs(self._positions[rows] - positions)
+        return rows, np.exp(-np.square(distance / sigma_m) / 2) * is_inside
 
     def _hypotheses(
         self, layout: ObjectLayout, offset: _Complex, likeness: Likeness
@@ -187,7 +187,7 @@ class PairSearch:
         sides = np.log(np.maximum(layout.side, 1e-9))[:, None]
         turns, places = [], []
         for rows in likeness.rows:
-            first, second = self._at[rows[one]], self._at[rows[other]]
+            first, second = self._positions[rows[one]], self._positions[rows[other]]
             turn = (second[:, None, :] - first[:, :, None]) / base
             # The height at which an object has the size of a landmark, for each match.
             by_size = (self._log_sides[rows] - sides) / 2
@@ -203,32 +203,32 @@ class PairSearch:
         objects = np.arange(len(offset))
         for begin in range(0, len(scores), _BATCH):
             part = slice(begin, begin + _BATCH)
-            rows, near = self.matches(offset, GroundPoses(poses.turn[part], poses.place[part]))
-            scores[part] = (likeness.ratio[objects, rows] * near).sum(1)
+            rows, weights = self.matches(offset, GroundPoses(poses.turn[part], poses.place[part]))
+            scores[part] = (likeness.ratio[objects, rows] * weights).sum(1)
         return scores / math.sqrt(max(1, len(offset)))
 
     def _refine(self, offset: _Complex, likeness: Likeness, poses: GroundPoses) -> GroundPoses:
-        """Return the least-squares similarities of the objects and the landmarks near them."""
-        rows, near = self.matches(offset, poses, _REFINED_NEAR_M)
-        weight = likeness.ratio[np.arange(len(offset)), rows] * near
+        """Return the least-squares similarity transforms from objects to landmarks near them."""
+        rows, weights = self.matches(offset, poses, _REFINED_SIGMA_M)
+        weight = likeness.ratio[np.arange(len(offset)), rows] * weights
         weight /= np.maximum(weight.sum(1, keepdims=True), 1e-12)
-        theirs = self._at[rows]
-        middle, middle_there = (weight * offset).sum(1), (weight * theirs).sum(1)
-        ours = offset - middle[:, None]
-        spread = (weight * np.square(np.abs(ours))).sum(1)
-        turn = (weight * (theirs - middle_there[:, None]) * ours.conj()).sum(1)
-        turn /= np.maximum(spread, 1e-9)
+        landmarks = self._positions[rows]
+        middle, landmark_middle = (weight * offset).sum(1), (weight * landmarks).sum(1)
+        centred = offset - middle[:, None]
+        variance = (weight * np.square(np.abs(centred))).sum(1)
+        turn = (weight * (landmarks - landmark_middle[:, None]) * centred.conj()).sum(1)
+        turn /= np.maximum(variance, 1e-9)
         change = np.log(np.where(turn == 0, 1e-9, turn) / poses.turn)
         small = (np.abs(change.real) < _MOST_CHANGE) & (np.abs(change.imag) < _MOST_CHANGE)
-        place = middle_there - turn * middle
+        place = landmark_middle - turn * middle
         return GroundPoses(np.where(small, turn, poses.turn), np.where(small, place, poses.place))
 
 
 class _NearestLandmarks:
     """The landmark nearest to every cell of a grid, by a distance transform."""
 
-    def __init__(self, at: _Complex) -> None:
-        xy = np.column_stack([at.real, at.imag])
+    def __init__(self, positions: _Complex) -> None:
+        xy = np.column_stack([positions.real, positions.imag])
         self._origin = xy.min(0) - _MARGIN_M
         extent = xy.max(0) + _MARGIN_M - self._origin
         self._cell = max(_CELL_M, float(extent.max()) / _MOST_CELLS)
@@ -240,13 +240,13 @@ class _NearestLandmarks:
             is_empty, cv2.DIST_L2, cv2.DIST_MASK_PRECISE, labelType=cv2.DIST_LABEL_PIXEL
         )
         landmark = np.zeros(int(labels.max()) + 1, np.int64)
-        landmark[labels[row, column]] = np.arange(len(at))
+        landmark[labels[row, column]] = np.arange(len(positions))
         self._landmark = landmark[labels]
 
-    def __call__(self, where: _Complex) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    def __call__(self, positions: _Complex) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Return the rows of the nearest landmarks, and whether the position is in the grid."""
-        column = np.floor((where.real - self._origin[0]) / self._cell).astype(np.int64)
-        row = np.floor((where.imag - self._origin[1]) / self._cell).astype(np.int64)
+        column = np.floor((positions.real - self._origin[0]) / self._cell).astype(np.int64)
+        row = np.floor((positions.imag - self._origin[1]) / self._cell).astype(np.int64)
         rows, columns = self._landmark.shape
         is_inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
         return self._landmark[
@@ -265,7 +265,7 @@ def _tiles(xy: _Real, rows: NDArray[np.int64]) -> list[NDArray[np.int64]]:
 
 
 def _pairs(offset: _Complex, similar: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the rows of pairs of objects, each with its nearest ones that are not too near."""
+    """Return the rows of pairs of objects: each object with the nearest ones beyond a distance."""
     count = len(offset)
     most = _MOST_PAIRS // (count * similar**2)
     partners = min(count - 1, max(1, min(_PARTNERS, most)))
@@ -279,14 +279,14 @@ def _pairs(offset: _Complex, similar: int) -> tuple[NDArray[np.int64], NDArray[n
     return one, other
 
 
-def _distinct(poses: GroundPoses, scores: _Real, count: int) -> NDArray[np.int64]:
+def _select_distinct(poses: GroundPoses, scores: _Real, count: int) -> NDArray[np.int64]:
     """Return the rows of the best poses that differ, best first."""
     left = np.argsort(-scores, kind="stable")[:_BEST]
     kept: list[int] = []
     while len(left) and len(kept) < count:
         best = int(left[0])
         kept.append(best)
-        far = np.abs(poses.place[left] - poses.place[best]) > _APART_M
-        turned = np.abs(np.angle(poses.turn[left] / poses.turn[best])) > _APART_RAD
+        far = np.abs(poses.place[left] - poses.place[best]) > _DISTINCT_M
+        turned = np.abs(np.angle(poses.turn[left] / poses.turn[best])) > _DISTINCT_RAD
         left = left[far | turned]
     return np.array(kept, np.int64)

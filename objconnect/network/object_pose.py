@@ -64,11 +64,11 @@ def _linearise(
     It is None if a landmark is behind the camera.
     """
     rotation = pose.rotation.numpy()
-    at = (xyz - pose.centre().numpy()) @ rotation.T
-    depth = at[:, 2]
+    in_camera = (xyz - pose.centre().numpy()) @ rotation.T
+    depth = in_camera[:, 2]
     if (depth < 1e-3).any():
         return None
-    x, y = (at[:, :2] / depth[:, None]).T
+    x, y = (in_camera[:, :2] / depth[:, None]).T
     residual = np.stack([x - rays[:, 0], y - rays[:, 1]], -1)
     zero = np.zeros_like(x)
     by_point = np.stack([1 / depth, zero, -x / depth, zero, 1 / depth, -y / depth], -1)

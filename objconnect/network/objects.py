@@ -47,7 +47,7 @@ class Occupancy:
         """Copy each object's vector (B, N, C) to its cells, (B, h w, C); 0 outside objects."""
         batch, count, size = vectors.shape
         table = torch.cat([vectors, vectors.new_zeros(batch, 1, size)], 1).flatten(0, 1)
-        picked = table.index_select(0, _flat(self.index, count))
+        picked = table.index_select(0, _flatten_index(self.index, count))
         return picked.view(batch, -1, size)
 
 
@@ -130,7 +130,7 @@ def init_small(layer: nn.Linear) -> nn.Linear:
     return layer
 
 
-def _flat(index: Tensor, count: int) -> Tensor:
+def _flatten_index(index: Tensor, count: int) -> Tensor:
     """Return the row (B h w,) of each cell's object in a table of all objects of the batch.
 
     Each image has one more row, for cells without an object.
@@ -144,5 +144,5 @@ def _sum_by_object(cells: Tensor, index: Tensor, count: int) -> Tensor:
     batch, _, size = cells.shape
     # Half precision is too inexact for sums over the cells of a large object.
     total = torch.zeros(batch * (count + 1), size, device=cells.device)
-    total = total.index_add(0, _flat(index, count), cells.flatten(0, 1).float())
+    total = total.index_add(0, _flatten_index(index, count), cells.flatten(0, 1).float())
     return total.view(batch, count + 1, size)[:, :count]

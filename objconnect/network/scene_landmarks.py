@@ -106,7 +106,7 @@ def find_landmarks(
 def read_landmarks(scene: Scene, sparse_map: SparseMap) -> tuple[Landmarks, Tracks] | None:
     """Return the landmarks stored in a scene, and their observations.
 
-    They are None if none are stored, or if they belong to another version of the map.
+    The result is None if none are stored, or if they belong to another version of the map.
 
     Raises:
         InputError: the file of landmarks is damaged.

@@ -70,8 +70,8 @@ class ObjConnectTraining:
         figures["features"] = float(distance.detach())
         poses = None
         if progress >= self._warm_up:
-            by_level = unroll_alignment(levels, batch, self.network.damping)
-            poses, errors = pose_distance(by_level, strides, batch)
+            level_poses = unroll_alignment(levels, batch, self.network.damping)
+            poses, errors = pose_distance(level_poses, strides, batch)
             figures |= median_pixel_errors(errors, strides, batch)
         loss = total(contrast, distance, poses, self._losses)
         if objects is not None and labels is not None:
@@ -98,5 +98,5 @@ class ObjConnectTraining:
         count = self.network_config.segments
         a_in_b = measure_correspondence(points_a, points_b, batch.valid, count)
         b_in_a = measure_correspondence(points_b, points_a, batch.valid, count)
-        target, counts = (torch.cat(pair) for pair in zip(a_in_b, b_in_a, strict=True))
-        return object_confidence_loss(objects.confidence, target, counts & objects.present)
+        target, has_target = (torch.cat(pair) for pair in zip(a_in_b, b_in_a, strict=True))
+        return object_confidence_loss(objects.confidence, target, has_target & objects.present)

@@ -43,6 +43,6 @@ def test_query(
         # The prior is a metre off.
         truth = query.prior.position - np.array([1, 0, 0])
         assert abs(estimate.cam_from_world.centre().numpy() - truth).max() < 0.5
-        assert localizer._lifted.nbytes <= 2 * MEGABYTE
+        assert localizer._lifted_keypoints.nbytes <= 2 * MEGABYTE
     again = cycle(asked)
     benchmark(lambda: localizer.localize(next(again)))

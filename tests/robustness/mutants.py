@@ -267,8 +267,8 @@ MUTANTS: Final = (
     Mutant(
         "d2net takes the encoder in other units",
         "baselines/d2net/training.py",
-        "(theirs[0].weight / spread)",
-        "theirs[0].weight",
+        "(encoder[0].weight / deviation)",
+        "encoder[0].weight",
         (f"{_D2NET}::test_pixlocs_encoder_sees_the_same_in_other_units",),
     ),
     Mutant(
@@ -302,7 +302,7 @@ MUTANTS: Final = (
     Mutant(
         "a few points that fit win over many",
         "objconnect/localization/align/hypotheses.py",
-        "gain = aligned.seen * (chance[:, None] - aligned.cost)",
+        "gain = aligned.points_in_view * (chance[:, None] - aligned.cost)",
         "gain = -aligned.cost",
         (f"{_STARTS}::test_many_points_in_place_are_worth_more_than_a_few_that_fit_perfectly",),
     ),

@@ -1,4 +1,4 @@
-"""Photometric augmentation: changes of images as by weather, sensor and hour of the day."""
+"""Photometric augmentation: imitates changes of weather, sensor and hour of the day."""
 
 from __future__ import annotations
 

@@ -49,8 +49,9 @@ def train(
 
     Raises:
         InputError: a scene is unfinished, has a distorted camera or no overlapping frames, is given
-            twice, or shows what a track holds out; ``out`` holds other files, another run or a run
-            that is still going on; or a process that makes pairs died.
+            twice, or has a condition, preset or lens that a track holds out; folders of photographs
+            hold none; ``out`` holds other files, another run or a run that is still going on; or a
+            data loading process died.
     """
     check_output_folder(out, [*data, *validation])
     scenes = [Scene.open(path) for path in data]
@@ -67,16 +68,16 @@ def train(
     if validation_scenes:
         validation_pairs = RenderedPairs(validation_scenes, size, points, 0.0, config.pairs)
     sources = PairSources(rendered, planes, validation_pairs)
-    described = {"method": method, "scenes": [_identity(scene) for scene in scenes]}
+    description = {"method": method, "scenes": [_identity(scene) for scene in scenes]}
     if config.weights is not None:
-        described["weights"] = digest(config.weights)
+        description["weights"] = digest(config.weights)
     is_first_process = join(torch_device(config.device)).rank == 0
     with write_lock(out) if is_first_process else nullcontext():
         trainable = make(config)
         # If there are initial weights, they determine the width.
         width = getattr(trainable.network_config, "width", config.width)
         config = config.model_copy(update={"width": width})
-        weights = train_loop(trainable, config, sources, out, described)
+        weights = train_loop(trainable, config, sources, out, description)
         if is_first_process:
             write_card(out, method, config, scenes, validation_scenes)
     return weights

@@ -2,7 +2,7 @@
 
 It is InfoNCE (van den Oord et al., 2018). The positive of a point's feature in image a is the
 feature of the same point in image b. The negatives are features at random positions of image b and
-at positions a few cells beside the point.
+at positions a few cells from the point.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from torch.nn import functional
 _TEMPERATURE: Final = 0.07
 # Number of negatives at random positions of the image.
 _RANDOM_NEGATIVES: Final = 512
-# Distances (cells) from the true position of the negatives beside it. They make the peak of the
+# Distances (cells) of the near negatives from the true position. They make the peak of the
 # similarity sharp, and wide enough for the alignment to converge.
 _NEAR_DISTANCES: Final = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0)
 # Least distance (cells) of a random negative from the true position.
@@ -61,7 +61,7 @@ def contrastive(
     distance = cells_b.new_tensor(_NEAR_DISTANCES)
     angle = 2 * torch.pi * torch.rand(*cells_b.shape[:2], len(distance), device=cells_b.device)
     ring = distance[:, None] * torch.stack([angle.cos(), angle.sin()], -1)
-    # The true position first, then the positions beside it.
+    # The true position first, then the positions near it.
     near_cells = torch.cat([cells_b[:, :, None], cells_b[:, :, None] + ring], 2)
     near = functional.normalize(sample(features_b, near_cells.flatten(1, 2)), dim=-1)
     to_near = (points[:, :, None] * near.view(*near_cells.shape[:3], channels)).sum(-1)

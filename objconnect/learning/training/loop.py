@@ -120,7 +120,7 @@ class PairSources:
     validation: PairSource | None = None
 
     def draw(self, photograph_share: float, seed: int) -> _PairDataset:
-        """Return the training pairs; the share is that of ``photographs`` if it is not None."""
+        """Return the training pairs; without ``photographs``, the share is ignored."""
         if self.photographs is None:
             return _PairDataset([self.rendered], [1.0], seed)
         shares = [1 - photograph_share, photograph_share]
@@ -132,7 +132,7 @@ def train_loop(
     config: TrainConfig,
     sources: PairSources,
     out: Path,
-    described: Mapping[str, Any],
+    description: Mapping[str, Any],
 ) -> Path:
     """Train a method, or resume its interrupted training, and write the weights.
 
@@ -144,21 +144,21 @@ def train_loop(
         config: configuration of the training.
         sources: pairs of the training and of the validation.
         out: folder of the run: checkpoint, log, curves, weights.
-        described: further values that describe the run. A folder of a run with other values is
-            refused.
+        description: further values that describe the run. A folder of a run with other values
+            is refused.
 
     Returns:
         The file of the weights.
 
     Raises:
         InputError: ``out`` belongs to another run, holds other files or cannot be written, or a
-            process that makes pairs died.
+            data loading process died.
     """
     device = torch_device(config.device)
     rank, world = join(device)
     if config.device == "cuda":
         device = torch.device("cuda", rank % torch.cuda.device_count())
-    _claim(out, {"config": config.model_dump(mode="json"), **described}, rank)
+    _claim(out, {"config": config.model_dump(mode="json"), **description}, rank)
     method.network.to(device)
     # torch's annotations lack this argument.
     network = method.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -245,9 +245,9 @@ def _resumable(out: Path, run: Mapping[str, Any]) -> ResumableFolder:
 
     def difference(record: Path) -> str | None:
         """Return the first key of ``run`` that differs from the record; None if none does."""
-        described = read_text(record, "description of the run")
+        text = read_text(record, "description of the run")
         try:
-            recorded = parse_json(described)
+            recorded = parse_json(text)
             # Settings that did not exist when the run began have their defaults. Settings that
             # this version does not have are ignored.
             settings = take_recorded(TrainConfig, dict(recorded["config"]))
@@ -325,7 +325,7 @@ def _schedule(
 
 
 def _share_gradients(network: nn.Module, world: int) -> None:
-    """Average gradients over the processes. A parameter without a gradient counts as zero."""
+    """Average gradients over the processes. A missing gradient is taken as zero."""
     if world == 1:
         return
     for parameter in network.parameters():

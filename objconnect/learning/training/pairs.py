@@ -20,7 +20,7 @@ MIN_POINTS: Final = 64
 BORDER_PX: Final = 4.0
 """Least distance of points from the edge of an image, because features there depend on padding."""
 
-# Largest error of a start, about that of the pose that an aircraft measures: rotation, and
+# Largest error of a start, about as large as in poses that an aircraft measures: rotation, and
 # translation as a share of the depth.
 _START_DEG: Final = 10.0
 _START_SHARE: Final = 0.08

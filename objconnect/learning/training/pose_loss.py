@@ -13,10 +13,10 @@ from objconnect.scene.geometry.projection import Intrinsics
 
 # Upper bound (px) of the error of a level in the loss.
 _CLAMP_PX: Final = 50.0
-# A level counts only if the error after the coarser level is less than this many cells of the
-# coarser level.
+# A level adds to the loss only if the error after the coarser level is less than this many cells
+# of the coarser level.
 _NEAR_CELLS: Final = 3.0
-# Least number of points of a pair that counts.
+# Least number of points of a pair that adds to the loss.
 _MIN_POINTS: Final = 10
 
 
@@ -37,7 +37,7 @@ class VisiblePoints(NamedTuple):
 def reprojection_error(
     pose: Pose, truth: Pose, points: Tensor, intrinsics: Intrinsics, valid: Tensor
 ) -> Tensor:
-    """Return the mean pseudo-Huber function (B,) of the distance of projections by two poses.
+    """Return the mean pseudo-Huber function (B,) of the distances between projections by two poses.
 
     ``convert_to_pixels`` converts it to pixels.
 
@@ -65,28 +65,28 @@ def convert_to_pixels(error: Tensor) -> Tensor:
 
 
 def pose_loss(
-    by_level: Sequence[Pose],
+    level_poses: Sequence[Pose],
     strides: Sequence[int],
     truth: Pose,
-    seen: VisiblePoints,
+    visible: VisiblePoints,
 ) -> tuple[Tensor, list[Tensor]]:
     """Return the loss of a batch, and the ``reprojection_error`` (B,) after each level.
 
-    Each level has the same weight, and errors count up to 50 pixels. A level counts only if the
+    Each level has the same weight, and errors are clamped to 50 pixels. A level is used only if the
     error after the coarser level is less than three cells of the coarser level, because finer
     features cannot correct larger errors. Pairs with fewer than ten points are left out.
 
     Args:
-        by_level: poses after each level, coarse to fine. No gradient flows between levels.
+        level_poses: poses after each level, coarse to fine. No gradient flows between levels.
         strides: strides of the levels.
         truth: true poses, as for ``reprojection_error``.
-        seen: the points in view.
+        visible: the points in view.
     """
-    errors = [reprojection_error(pose, truth, *seen) for pose in by_level]
-    enough = seen.valid.sum(-1) >= _MIN_POINTS
-    counts = enough
+    errors = [reprojection_error(pose, truth, *visible) for pose in level_poses]
+    enough = visible.valid.sum(-1) >= _MIN_POINTS
+    used = enough
     total = torch.zeros_like(errors[0])
     for error, stride in zip(errors, strides, strict=True):
-        total = total + torch.where(counts, error.clamp(max=_CLAMP_PX), 0) / len(errors)
-        counts = enough & (error < _NEAR_CELLS * stride)
+        total = total + torch.where(used, error.clamp(max=_CLAMP_PX), 0) / len(errors)
+        used = enough & (error < _NEAR_CELLS * stride)
     return total.mean(), [error.detach() for error in errors]

@@ -149,7 +149,7 @@ class RenderedPairs:
         return self._open[frame.session]
 
     def _make_pair(self, a: _Frame, b: _Frame, rng: np.random.Generator) -> Pair | None:
-        """Return a pair of crops around a point that both frames show; None with too few points."""
+        """Return crops around a point that both frames show; None if they share too few points."""
         options = self._options
         photo_a, photo_b = read_rgb(a.image), read_rgb(b.image)
         depth_a, depth_b = self._depth(a), self._depth(b)
@@ -174,8 +174,8 @@ class RenderedPairs:
         if rng.uniform() < options.level_share:
             depth_ratio = float(in_b[shown][anchor, 2] / points[anchor, 2])
             relative_scale *= np.clip(depth_ratio * a.camera.focal[0] / b.camera.focal[0], 0.5, 2)
-        # Frames from above are both rotated by a random multiple of 90 degrees, because light comes
-        # from the north if the place is south of the equator. Along a street the sky is always up.
+        # Two frames that look down are rotated by the same random multiple of 90 degrees, because
+        # light comes from the north at sites south of the equator. Other frames keep the sky up.
         look_down = looks_down(a.cam_from_world[:3, :3]) and looks_down(b.cam_from_world[:3, :3])
         common_angle = np.pi / 2 * rng.integers(4) if look_down else 0.0
         angle_a = common_angle + north_angle(a.cam_from_world[:3, :3])

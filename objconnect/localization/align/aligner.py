@@ -32,21 +32,21 @@ class Alignment:
 
     Attributes:
         pose: ``cam_from_world``, float64; if alignment failed, the last pose before the failure.
-        by_level: the pose after each level, coarse to fine; the last is ``pose``.
+        level_poses: the pose after each level, coarse to fine; the last is ``pose``.
         covariance: covariance (..., 6, 6) of the left tangent, rotation (rad) then translation (m);
             infinite on the diagonal where the points do not determine the pose.
         cost: (...) mean robust cost of the points in view on the finest level.
         iterations: (...) number of steps tried, over all levels.
-        seen: (...) number of points in view on the last level reached.
+        points_in_view: (...) number of points in view on the last level that was reached.
         failure: (...) 0, or a number that tells why alignment failed: see ``reason``.
     """
 
     pose: Pose
-    by_level: tuple[Pose, ...]
+    level_poses: tuple[Pose, ...]
     covariance: Tensor
     cost: Tensor
     iterations: Tensor
-    seen: Tensor
+    points_in_view: Tensor
     failure: Tensor
 
     @property
@@ -57,7 +57,9 @@ class Alignment:
     def reason(self, *index: int) -> str:
         """Return why the alignment of one element failed; empty if it did not."""
         code = int(self.failure[index])
-        return _REASONS[code] + (f" ({int(self.seen[index])})" if code == _TOO_FEW else "")
+        return _REASONS[code] + (
+            f" ({int(self.points_in_view[index])})" if code == _TOO_FEW else ""
+        )
 
 
 def align(problem: Problem, with_covariance: bool = True) -> Alignment:
@@ -113,7 +115,7 @@ def align(problem: Problem, with_covariance: bool = True) -> Alignment:
     pose = tree_map(lambda t: t.reshape(len(owner), *t.shape[len(shape) :]), local.start)
     failure = torch.where(local.finite.flatten(), _ALIGNED, _BAD_START)
     iterations, seen = torch.zeros_like(owner), torch.zeros_like(owner)
-    by_level = []
+    level_poses = []
     for level, damping in zip(problem.levels, problem.damping, strict=True):
         cost = local.cost(level, options)
         cost = cost if starts_per_query == 1 else cost.select(owner)
@@ -124,17 +126,17 @@ def align(problem: Problem, with_covariance: bool = True) -> Alignment:
         outcome = torch.where(is_finite(state.linearisation), _ALIGNED, _NOT_FINITE)
         outcome = torch.where(seen < options.min_points, _TOO_FEW, outcome)
         failure = torch.where(active, outcome, failure)
-        by_level.append(local.to_world(tree_map(unflatten, pose)))
+        level_poses.append(local.to_world(tree_map(unflatten, pose)))
     failed = failure != _ALIGNED
     last = state.linearisation
     unknown = failed if with_covariance else torch.ones_like(failed)
     return Alignment(
-        pose=by_level[-1],
-        by_level=tuple(by_level),
+        pose=level_poses[-1],
+        level_poses=tuple(level_poses),
         covariance=unflatten(_covariance(last, unknown)),
         cost=unflatten(torch.where(failed, torch.inf, last.mean_cost())),
         iterations=unflatten(iterations),
-        seen=unflatten(seen),
+        points_in_view=unflatten(seen),
         failure=unflatten(failure),
     )
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from objconnect.localization.align import kernels, records
-from objconnect.localization.align.damping import DAMPING_CHANGE, FLOOR, MAX_FACTOR, MIN_FACTOR
+from objconnect.localization.align.damping import DAMPING_CHANGE, MAX_FACTOR, MIN_ADDED, MIN_FACTOR
 from objconnect.localization.align.options import Options
 from objconnect.localization.align.residuals import LevelCost, Linearisation
 from objconnect.localization.align.state import State
@@ -49,7 +49,7 @@ _POSE_BATCH: Final = _record(
 _DESCENT_OPTIONS: Final = _record(records.DescentOptions, f8[::1], *[f8] * 6, i8, i8)
 _DESCEND: Final = types.void(_LEVEL, _POINTS, _POSE_BATCH, _DESCENT_OPTIONS, i8, i8)
 # Least number of points of all poses together for which a second thread saves time.
-_WORTH_THREADS: Final = 1024
+_MIN_THREADED_POINTS: Final = 1024
 
 
 def descend_compiled(
@@ -78,7 +78,7 @@ def descend_compiled(
         damping_change=DAMPING_CHANGE,
         min_factor=MIN_FACTOR,
         max_factor=MAX_FACTOR,
-        min_added=FLOOR,
+        min_added=MIN_ADDED,
         converged_rad=radians(options.converged_deg),
         converged_m=options.converged_m,
         max_steps=options.iterations,
@@ -96,7 +96,7 @@ def descend_compiled(
 
 def _run_in_parts(work: Callable[[int, int], None], poses: int, points: int) -> None:
     """Call ``work`` with ranges of poses in as many threads as torch may use, this one included."""
-    threads = min(torch.get_num_threads(), poses) if poses * points >= _WORTH_THREADS else 1
+    threads = min(torch.get_num_threads(), poses) if poses * points >= _MIN_THREADED_POINTS else 1
     first_part, *others = pairwise(poses * k // threads for k in range(threads + 1))
     if not others:
         work(*first_part)

@@ -20,9 +20,9 @@ from objconnect.scene.geometry.pose import Pose
 # Number of patches that determine a pose: a pose has six degrees of freedom, and each patch gives
 # two equations.
 _PATCHES_PER_POSE = 3
-# Variance of the rotation (rad^2) from which the rotation counts as unknown.
+# Variance of the rotation (rad^2) above which the rotation is unknown.
 _UNKNOWN_ROTATION = math.pi**2
-# Side of the square patches of a level (cells). Points in one patch count as dependent.
+# Side of the square patches of a level (cells). Points in one patch are treated as dependent.
 _PATCH_CELLS: Final = 24.0
 # Share by which the scatter of the patches' gradients is shrunk to that of independent residuals.
 _SHRINKAGE: Final = 0.6
@@ -87,7 +87,7 @@ def _sandwich(H: Tensor, scatter: Tensor, count: Tensor, shrinkage: float = _SHR
 
 
 @dataclass(frozen=True)
-class Spread:
+class PoseUncertainty:
     """Uncalibrated covariances of aligned poses, and the figures that calibrate them.
 
     Attributes:
@@ -116,7 +116,7 @@ class Spread:
     effective_patches: Tensor
 
 
-def measure_spread(problem: Problem, aligned: Pose) -> Spread:
+def measure_uncertainty(problem: Problem, aligned: Pose) -> PoseUncertainty:
     """Compute the covariances of poses (B) aligned on the finest level of a problem.
 
     If a query differs from the map, as in snow, the Gauss-Newton Hessian is too large, because it
@@ -145,7 +145,7 @@ def measure_spread(problem: Problem, aligned: Pose) -> Spread:
     length = _CURVATURE_SIGMAS * variance.diagonal(dim1=-2, dim2=-1).mean(-1).sqrt()
     steps = length[:, None, None] * axes
     slopes = _gradients(cost, local.start, steps) - _gradients(cost, local.start, -steps)
-    # Second derivatives in the axes in which those of Gauss-Newton are the identity.
+    # Second derivatives in the axes in which the Gauss-Newton Hessian is the identity.
     curvature = (slopes / (2 * length[:, None, None])) @ axes.transpose(-1, -2)
     symmetric = 0.5 * (curvature + curvature.transpose(-1, -2)).nan_to_num()
     values, vectors = torch.linalg.eigh(symmetric)
@@ -154,7 +154,7 @@ def measure_spread(problem: Problem, aligned: Pose) -> Spread:
     measured = _sandwich(root @ root.transpose(-1, -2), scatter, patches)
     scatter_level = (axes @ scatter @ axes.transpose(-1, -2)).diagonal(dim1=-2, dim2=-1).mean(-1)
     determined = known[:, 0, 0]
-    return Spread(
+    return PoseUncertainty(
         torch.where(known, measured, gauss_newton),
         torch.where(determined, values.log().mean(-1).exp(), 0),
         depth.nanmedian(-1).values.nan_to_num(),
@@ -169,7 +169,7 @@ def measure_spread(problem: Problem, aligned: Pose) -> Spread:
 def _informative_cost(
     cost: LevelCost, pose: Pose, linearisation: Linearisation, axes: Tensor
 ) -> Tensor:
-    """Return ``Spread.informative_cost`` (B,): points are weighted by their part of the Hessian.
+    """Return ``PoseUncertainty.informative_cost`` (B,), weighted by parts of the Hessian.
 
     Args:
         cost: cost of the finest level.
@@ -187,7 +187,7 @@ def _informative_cost(
 
 
 def _view_cosine(problem: Problem, aligned: Pose, seen: Tensor) -> Tensor:
-    """Return ``Spread.view_cosine`` (B,) over the points in view, (B, N)."""
+    """Return ``PoseUncertainty.view_cosine`` (B,) over the points in view, (B, N)."""
     if problem.seen_from is None:
         return torch.ones(len(seen), dtype=torch.float64, device=seen.device)
     points = problem.points.double()
@@ -225,9 +225,9 @@ def _scatter(grids: list[_Grid]) -> tuple[Tensor, Tensor]:
 
 
 def _effective_patches(grids: list[_Grid], axes: Tensor) -> Tensor:
-    """Return ``Spread.effective_patches`` (M,): Kish's effective sample size, the grids' mean.
+    """Return ``PoseUncertainty.effective_patches`` (M,): the grids' mean effective sample size.
 
-    See Kish, "Survey Sampling", 1965.
+    Source: Kish, "Survey Sampling", 1965.
 
     Args:
         grids: the patches.

@@ -8,7 +8,7 @@ from torch import Tensor
 from objconnect.scene.geometry.pose import Pose, so3_exp
 
 # Numerical guard: least value that is added to the diagonal of the Hessian, in its units.
-FLOOR = 1e-6
+MIN_ADDED = 1e-6
 # A rejected step multiplies the damping by this, and an accepted step divides the damping by it.
 DAMPING_CHANGE = 10.0
 # Bounds of the product of these changes, which multiplies the learned damping of a level.
@@ -27,7 +27,7 @@ def solve_step(gradient: Tensor, hessian: Tensor, damping: Tensor) -> Tensor:
     """
     H, g = hessian.double(), gradient.double()
     diagonal = H.diagonal(dim1=-2, dim2=-1)
-    added = (diagonal * damping).clamp_min(FLOOR)
+    added = (diagonal * damping).clamp_min(MIN_ADDED)
     H = H + added.diag_embed()
     diagonal_only = (diagonal.abs() + added).diag_embed()
     is_indefinite = torch.linalg.cholesky_ex(H.detach()).info != 0

@@ -58,13 +58,13 @@ def descend(
             number, state, cost = number[active], select(state, active), cost.select(active)
         if not len(number):
             break
-        here = state.linearisation
-        step = solve_step(here.gradient, here.hessian, damping * state.damping_factor)
+        current = state.linearisation
+        step = solve_step(current.gradient, current.hessian, damping * state.damping_factor)
         trial_pose = apply_step(state.pose, step)
         state = replace(state, iterations=state.iterations + 1)
         trial = replace(state, pose=trial_pose, linearisation=linearise(cost, trial_pose))
         if options.careful:
-            better = _falls(here, trial.linearisation, options.min_points)
+            better = _cost_falls(current, trial.linearisation, options.min_points)
             state = choose(better, trial, state)
             factor = torch.where(better, 1 / DAMPING_CHANGE, DAMPING_CHANGE)[:, None]
             factor = (state.damping_factor * factor).clamp(MIN_FACTOR, MAX_FACTOR)
@@ -90,15 +90,15 @@ def is_finite(linearisation: Linearisation) -> Tensor:
     ).all(-1)
 
 
-def _falls(here: Linearisation, there: Linearisation, min_points: int) -> Tensor:
+def _cost_falls(old: Linearisation, new: Linearisation, min_points: int) -> Tensor:
     """Return (M,) whether the mean cost falls from one pose to another.
 
-    Only points in view from both poses count.
+    Only points in view from both poses are compared.
     """
-    in_both = here.seen & there.seen
-    before, after = (replace(each, weight=each.weight * in_both) for each in (here, there))
+    in_both = old.seen & new.seen
+    before, after = (replace(each, weight=each.weight * in_both) for each in (old, new))
     lower = after.mean_cost() < before.mean_cost()
-    return lower & (in_both.sum(-1) >= min_points) & is_finite(there)
+    return lower & (in_both.sum(-1) >= min_points) & is_finite(new)
 
 
 def _is_small(step: Tensor, options: Options) -> Tensor:

@@ -70,11 +70,11 @@ def grid_around(start: Pose, distance: Tensor, radius: SearchRadius, spacing_deg
     shifts = min(2 * steps + 1, _MAX_SHIFTS)
     largest_roll = _ROLL_SHARE * radius.degrees
     rolls = 2 * math.ceil(largest_roll / _ROLL_SPACING_DEG) + 1
-    ranged = partial(torch.linspace, -1, 1, dtype=torch.float64, device=distance.device)
-    unit, roll = ranged(shifts), math.radians(largest_roll) * ranged(rolls)
+    interval = partial(torch.linspace, -1, 1, dtype=torch.float64, device=distance.device)
+    unit, roll = interval(shifts), math.radians(largest_roll) * interval(rolls)
     x, y, z = (t.flatten() for t in torch.meshgrid(unit, unit, roll, indexing="ij"))
     x, y = shift[:, None] * x, shift[:, None] * y
-    # Share of a shift by errors of attitude; the rest is by errors of position.
+    # Share of a shift that errors of attitude cause. Errors of position cause the rest.
     share = (attitude_error**2 / (attitude_error**2 + position_error**2))[:, None]
     metres = (1 - share) * distance.double()[:, None]
     step = [share * x, share * y, z.expand_as(x), metres * y, -metres * x, torch.zeros_like(x)]
@@ -139,14 +139,16 @@ def align_from_many(
     coarsest = problem.coarsest().first_points(width.coarse_points)
     aligned, iterations = _refine_on_coarsest(coarsest, radius, width)
     if problem.levels[1:]:
-        finalists = _best(aligned, coarsest.levels[0], scale, width.finalists)
-        finalists = _distinct(finalists, local, problem.levels[1])
+        finalists = _keep_best(aligned, coarsest.levels[0], scale, width.finalists)
+        finalists = _drop_duplicates(finalists, local, problem.levels[1])
         aligned = align(problem.finer().starting_at(finalists.pose), with_covariance=False)
         iterations = iterations + aligned.iterations.sum(-1)
         failure = torch.where(finalists.has_failed, finalists.failure, aligned.failure)
-        aligned = replace(aligned, failure=failure, by_level=finalists.by_level + aligned.by_level)
+        aligned = replace(
+            aligned, failure=failure, level_poses=finalists.level_poses + aligned.level_poses
+        )
     last = problem.levels[-1] if problem.levels[1:] else coarsest.levels[-1]
-    winner = _best(aligned, last, scale, 1)
+    winner = _keep_best(aligned, last, scale, 1)
     return replace(tree_map(lambda t: t[:, 0], winner), iterations=iterations)
 
 
@@ -171,7 +173,7 @@ def _refine_on_coarsest(
         return torch.cat([prior[:, None], picked], 1)
 
     starts = local.to_world(tree_map(with_prior, local.start, grid))
-    rough = solver.rougher(_ROUGH_CONVERGENCE)
+    rough = solver.loosen_convergence(_ROUGH_CONVERGENCE)
     first_steps = min(_MERGE_ITERATIONS, solver.iterations)
     short = coarsest.with_options(replace(rough, iterations=first_steps))
 
@@ -180,17 +182,17 @@ def _refine_on_coarsest(
         return align(short.starting_at(chosen), with_covariance=False)
 
     def rank(refined: Alignment) -> Alignment:
-        return _best(refined, level, solver.robust_scale, refined.seen.shape[1])
+        return _keep_best(refined, level, solver.robust_scale, refined.points_in_view.shape[1])
 
     first = width.first_refined
     refined = rank(refine(slice(first)))
     iterations = refined.iterations.sum(-1)
-    agreed = _project_alike(refined, local, level)[:, 0].sum(-1) > 1
+    agreed = _are_same_pose(refined, local, level)[:, 0].sum(-1) > 1
     if starts.translation.shape[1] > first and not bool(agreed.all()):
         others = refine(slice(first, None))
         iterations = iterations + others.iterations.sum(-1)
         refined = rank(_concatenate(refined, others))
-    refined = _distinct(refined, local, level)
+    refined = _drop_duplicates(refined, local, level)
     aligned = align(coarsest.starting_at(refined.pose).with_options(rough), with_covariance=False)
     return aligned, iterations + aligned.iterations.sum(-1)
 
@@ -209,26 +211,26 @@ def _grid(level: Level, local: LocalProblem, radius: SearchRadius) -> Pose:
     return grid_around(local.start, depth.nan_to_num(1.0), radius, float(spacing))
 
 
-def _best(aligned: Alignment, level: Level, robust_scale: float, count: int) -> Alignment:
+def _keep_best(aligned: Alignment, level: Level, robust_scale: float, count: int) -> Alignment:
     """Keep, per query, the ``count`` alignments (B, K) with the highest gain over chance.
 
     Failed alignments come last. Alignments of equal gain keep their order.
     """
     chance = _cost_by_chance(level, robust_scale)
-    gain = aligned.seen * (chance[:, None] - aligned.cost)
+    gain = aligned.points_in_view * (chance[:, None] - aligned.cost)
     gain = torch.where(aligned.has_failed, -torch.inf, gain)
     kept = gain.argsort(dim=1, descending=True, stable=True)[:, :count]
     query = torch.arange(len(kept), device=kept.device)[:, None]
     return tree_map(lambda t: t[query, kept], aligned)
 
 
-def _distinct(aligned: Alignment, local: LocalProblem, level: Level) -> Alignment:
+def _drop_duplicates(aligned: Alignment, local: LocalProblem, level: Level) -> Alignment:
     """Drop alignments (B, K), best first, that have the pose of a better one.
 
     All queries keep as many alignments as the query with the most distinct poses, so that the
     result is a batch.
     """
-    same = _project_alike(aligned, local, level)
+    same = _are_same_pose(aligned, local, level)
     kept = torch.ones_like(same[..., 0])
     for k in range(1, kept.shape[1]):
         kept[:, k] = ~(same[:, k, :k] & kept[:, :k]).any(-1)
@@ -238,7 +240,7 @@ def _distinct(aligned: Alignment, local: LocalProblem, level: Level) -> Alignmen
     return tree_map(lambda t: t[query, order], aligned)
 
 
-def _project_alike(aligned: Alignment, local: LocalProblem, level: Level) -> Tensor:
+def _are_same_pose(aligned: Alignment, local: LocalProblem, level: Level) -> Tensor:
     """Return whether pairs of alignments (B, K) project the points to the same cells, (B, K, K).
 
     Cells are those of ``level``, on which the alignments continue.
@@ -272,7 +274,7 @@ def _cost_by_chance(level: Level, robust_scale: float) -> Tensor:
     cost = _costs(cells[..., sampled], level.reference, robust_scale).mean(-2)
     if level.confidence is None:
         return cost.mean(-1)
-    # Only cells that show the photograph count.
+    # Only cells that show the photograph are averaged.
     shown = (level.confidence.flatten(1)[:, sampled] > 0).to(cost)
     return (cost * shown).sum(-1) / shown.sum(-1).clamp_min(1)
 

@@ -266,7 +266,7 @@ def _rational_radial(r2: np.float32, lens: Singles) -> tuple[np.float32, np.floa
 def _distort_fisheye(
     u: np.float32, v: np.float32, lens: Singles, limit: np.float32, out: Singles
 ) -> bool:
-    """Write the same as ``_distort`` for a fisheye; its limit is an angle (rad)."""
+    """Write the results of ``_distort`` for a fisheye, whose limit is an angle (rad)."""
     k1, k2, k3, k4 = lens
     r = max(np.sqrt(u * u + v * v), np.float32(1e-9))
     angle = np.arctan(r)
@@ -335,7 +335,7 @@ def _linearise(level: Level, pose: int, points: View, out: CostArrays) -> None:
 def _bilinear(
     table: Singles, cell: int, width: int, between: tuple[np.float32, np.float32]
 ) -> np.float32:
-    """Return the bilinear value of a table of one channel at shares ``between`` past ``cell``."""
+    """Interpolate a table of one channel at the position ``between`` (cells) after ``cell``."""
     (a, b), below = between, cell + width
     above = (_ONE - a) * table[cell, 0] + a * table[cell + 1, 0]
     value: np.float32 = (_ONE - b) * above
@@ -345,7 +345,7 @@ def _bilinear(
 
 @njit(inline="always", **INLINED_OPTIONS)  # type: ignore[untyped-decorator]
 def _row(point: Singles, slope: Singles, stride: np.float32, row: Singles) -> None:
-    """Write the derivative (6,) of a coordinate (cells) by the pose, given that by the point."""
+    """Write the derivative (6,) of a coordinate (cells) by the pose; ``slope`` is by the point."""
     (x, y, z), (dx, dy, dz) = point, slope
     row[0], row[3] = (y * dz - z * dy) / stride, dx / stride
     row[1], row[4] = (z * dx - x * dz) / stride, dy / stride
@@ -363,8 +363,8 @@ def _products(
 ) -> None:
     """Sum the products of residual and slopes over the channels: rr, rx, ry, xx, xy, yy.
 
-    The value is bilinear at shares ``between`` from ``cell`` on; slopes are its central
-    differences.
+    The value is interpolated at the position ``between`` (cells) after ``cell``; slopes are its
+    central differences.
     """
     a, b = between
     a1, b1 = _ONE - a, _ONE - b

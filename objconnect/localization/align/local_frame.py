@@ -25,7 +25,7 @@ class LocalProblem:
         intrinsics: intrinsics in the precision of the points.
         origin: position (B, 3) of the first start of each query, world metres.
         start: starts ``cam_from_local``, batch shape (B,) or (B, K), float64; the identity replaces
-            those that are not finite.
+            starts that are not finite.
         finite: whether each start was finite, shape (B,) or (B, K).
     """
 

@@ -15,7 +15,7 @@ class Options:
         careful: whether a step is accepted only if the cost falls (else a shorter step is tried),
             and a level ends when steps become small. If False, every step is taken, and the pose is
             differentiable in features, confidences and damping, for training.
-        border_cells: cells at the edge of a feature map in which points do not count; at least 1.
+        border_cells: cells at the edge of a feature map in which points are ignored; at least 1.
         robust_scale: norm of a residual above which it loses weight.
         min_points: minimum number of points in view; with fewer the alignment fails.
         converged_m: metres; a level ends at a step that translates by less than this and rotates
@@ -31,7 +31,7 @@ class Options:
     converged_m: float = 5e-3
     converged_deg: float = 5e-2
 
-    def rougher(self, factor: float) -> Options:
+    def loosen_convergence(self, factor: float) -> Options:
         """Return options that end a level at steps that are longer by a factor."""
         metres, degrees = factor * self.converged_m, factor * self.converged_deg
         return replace(self, converged_m=metres, converged_deg=degrees)

@@ -28,7 +28,7 @@ class Problem:
         options: options of the alignment.
         mask: (B, N) bool, points to use, or None for all.
         seen_from: (B, N, 3) camera centres of the points' reference images, world metres; None if
-            unknown. Only ``covariance.measure_spread`` uses them.
+            unknown. Only ``covariance.measure_uncertainty`` uses them.
     """
 
     levels: Sequence[Level]
@@ -48,9 +48,9 @@ class Problem:
         """Return the same problem with other options."""
         return replace(self, options=options)
 
-    def select_levels(self, which: slice) -> Problem:
+    def select_levels(self, part: slice) -> Problem:
         """Return the problem with a range of its levels."""
-        return replace(self, levels=self.levels[which], damping=self.damping[which])
+        return replace(self, levels=self.levels[part], damping=self.damping[part])
 
     def coarsest(self) -> Problem:
         """Return the problem with the coarsest level alone."""

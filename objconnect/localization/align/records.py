@@ -46,7 +46,7 @@ class Level(NamedTuple):
         reference: (M, N, C) features of the points.
         reference_confidence: (M, N) confidence of the points; a single number if unknown.
         stride: (2,) pixels per cell, x and y.
-        border: cells at the edge of a map in which points do not count.
+        border: cells at the edge of a map in which points are ignored.
         twice_squared_scale: twice the squared scale of the robust cost.
         has_confidence: whether the confidence of the queries is known.
         has_reference_confidence: whether the confidence of the points is known.

@@ -64,7 +64,7 @@ class Linearisation:
     """A cost around M poses with N points each.
 
     Attributes:
-        seen: (M, N) whether a point counts.
+        seen: (M, N) whether a point is in the mask, in view and of positive confidence.
         weight: (M, N) confidence, zero where not seen.
         cost: (M, N) robust cost without confidence.
         point_gradient: (M, N, 6) weighted gradient of half of each point's cost.
@@ -105,7 +105,7 @@ class LevelCost:
         reference: (M, N, C) features of the points.
         reference_confidence: (M, N) confidence of the points, or None.
         intrinsics: intrinsics (M) of the queries, or one camera.
-        border: cells at the edge of the map in which points do not count; at least 1.
+        border: cells at the edge of the map in which points are ignored; at least 1.
         scale: norm of a residual above which it loses weight.
     """
 
@@ -137,11 +137,11 @@ class LevelCost:
             points: (B, N, 3) in the frame of the poses.
             mask: (B, N) points to use.
             intrinsics: intrinsics of the queries, batched (B), or one for all.
-            border: cells at the edge of the map in which points do not count.
+            border: cells at the edge of the map in which points are ignored.
             scale: norm of a residual above which it loses weight.
         """
-        exact = level.features.dtype == torch.float64
-        dtype = torch.float64 if exact else torch.float32
+        is_double = level.features.dtype == torch.float64
+        dtype = torch.float64 if is_double else torch.float32
         table = CellTable.of(level.features.to(dtype))
         return LevelCost(
             table=table,
@@ -157,17 +157,17 @@ class LevelCost:
             scale=scale,
         )
 
-    def select(self, which: Tensor) -> LevelCost:
-        """Select poses by index, also repeatedly, or by a mask."""
+    def select(self, index: Tensor) -> LevelCost:
+        """Select poses by index, which may repeat a pose, or by a mask."""
         confidence, cameras = self.reference_confidence, self.intrinsics
         return replace(
             self,
-            first=self.first[which],
-            points=self.points[which],
-            mask=self.mask[which],
-            reference=self.reference[which],
-            reference_confidence=None if confidence is None else confidence[which],
-            intrinsics=cameras if cameras.focal.ndim == 1 else select(cameras, which),
+            first=self.first[index],
+            points=self.points[index],
+            mask=self.mask[index],
+            reference=self.reference[index],
+            reference_confidence=None if confidence is None else confidence[index],
+            intrinsics=cameras if cameras.focal.ndim == 1 else select(cameras, index),
         )
 
     def sample(self, cam_from_world: Pose) -> tuple[Tensor, Tensor]:
@@ -185,7 +185,7 @@ class LevelCost:
         return in_camera, self.intrinsics.project(in_camera, jacobian=True)
 
     def _cells(self, projected: Projection) -> tuple[Tensor, Tensor]:
-        """Return projections in cells (M, N, 2), and whether points count (M, N).
+        """Return projections in cells (M, N, 2), and whether points are used (M, N).
 
         The first cell's centre is zero.
         """

@@ -156,7 +156,7 @@ def sample(maps: Tensor, xy: Tensor, stride: Stride, border: float = 0) -> tuple
         maps: (B, C, h, w).
         xy: (B, N, 2) pixels, finite or not.
         stride: pixels per cell.
-        border: cells; points nearer to the edge do not count as inside.
+        border: cells; points nearer to the edge are outside.
 
     Returns:
         Values (B, N, C), arbitrary for points outside, and whether points are inside (B, N).

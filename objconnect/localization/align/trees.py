@@ -31,15 +31,15 @@ def tree_map(function: Callable[..., Tensor], first: T, *others: T) -> T:
     return type(first)(**values)
 
 
-def select(tree: T, which: Tensor) -> T:
+def select(tree: T, index: Tensor) -> T:
     """Select elements of a batch by index or by a mask."""
-    return tree_map(lambda t: t[which], tree)
+    return tree_map(lambda t: t[index], tree)
 
 
-def choose(which: Tensor, yes: T, no: T) -> T:
-    """Return elements of ``yes`` (..., any) where ``which`` (...) is true, else of ``no``."""
+def choose(condition: Tensor, yes: T, no: T) -> T:
+    """Return elements of ``yes`` (..., any) where ``condition`` (...) is true, else of ``no``."""
 
     def pick(a: Tensor, b: Tensor) -> Tensor:
-        return torch.where(which[(..., *[None] * (a.ndim - which.ndim))], a, b)
+        return torch.where(condition[(..., *[None] * (a.ndim - condition.ndim))], a, b)
 
     return tree_map(pick, yes, no)

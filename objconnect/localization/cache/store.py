@@ -128,7 +128,7 @@ class Store:
     def make(self, row: int, names: Iterable[str], build: Callable[[Arrays], T]) -> T:
         """Return an object that ``build`` makes from arrays of a row.
 
-        If ``build`` fails, the file counts as damaged.
+        If ``build`` fails, the file is reported as damaged.
         """
         try:
             return build(self.arrays(row, names))

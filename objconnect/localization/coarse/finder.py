@@ -62,18 +62,16 @@ _CHANNELS: Final = 32
 LONGER_SIDE_PX: Final = 256
 """Photographs are resized to about this longer side (px), so that the features of
 a cell describe a large patch of ground."""
-# A query of a larger tilt (radians) is warped to this one, because nearly all photographs of a map
-# look down.
+# A query with a larger tilt is warped to this tilt (radians), because nearly all photographs of a
+# map look down.
 _MAX_TILT: Final = math.radians(45)
-
-
 # Radius of the search around an uncertain position in standard deviations; two cells of the mosaic
 # are added.
 _REACH_SIGMAS: Final = 3.0
 
 
 class CoarseSearchOptions(TiltOptions):
-    """Options of the coarse search, which by default looks straight down."""
+    """Options of the coarse search, which by default assumes a camera that looks straight down."""
 
     tilts_deg: tuple[float, ...] = with_default(TiltOptions, "tilts_deg", (0.0,))
 
@@ -100,14 +98,14 @@ class CoarseSearch:
             InputError: a photograph is broken or changed meanwhile.
         """
         sparse_map = map_cache.sparse_map
-        posed = [sparse_map.images[name] for name in sparse_map.names]
+        map_images = [sparse_map.images[name] for name in sparse_map.names]
         sharpest = map_resolution(sparse_map, self._extract.largest_scale)
         sides = [
             max(image.camera.width, image.camera.height) * self._extract.largest_scale(image.camera)
-            for image in posed
+            for image in map_images
         ]
         self._resolution = sharpest * max(1.0, float(np.median(sides)) / LONGER_SIDE_PX)
-        heights = [sparse_map.height_above(image.pose.centre().numpy()) for image in posed]
+        heights = [sparse_map.height_above(image.pose.centre().numpy()) for image in map_images]
         self._height = float(np.median(heights))
 
         def rows(_: EarlierRows) -> Rows:
@@ -139,17 +137,17 @@ class CoarseSearch:
     def find(self, query: Query) -> Iterator[list[Candidate]]:
         """Yield candidates at the known attitude or at the first tilt, then those at other tilts.
 
-        Each list has its best candidate first. There is none if no photograph of the map looks
-        down, or if the query has a single colour. The features of the query serve all tilts.
+        Each list has its best candidate first. No list is yielded if no photograph of the map looks
+        down, or if the query has a single colour. All tilts use the same features of the query.
         """
         if self._mosaic.is_empty or (query.image == query.image[0, 0]).all():
             return
         first, *others = tilt_rotations(self._options.tilts_deg)
         tried = hypotheses(query.prior, self._mosaic.grid, self._height, first)
-        seen = self._search.look(partial(self._extract_for, query), tried)
-        yield self._search(seen, tried, self._options.candidates)
+        views = self._search.extract_views(partial(self._extract_for, query), tried)
+        yield self._search(views, tried, self._options.candidates)
         if others and not has_attitude(query.prior):
-            yield self._search_tilted(seen, replace(tried, tilts=others), self._options.candidates)
+            yield self._search_tilted(views, replace(tried, tilts=others), self._options.candidates)
 
     def _extract_for(self, query: Query, pose: Pose) -> tuple[WarpedImage, FeatureMap]:
         """Warp a query for a pose, and compute its features of the coarsest level."""

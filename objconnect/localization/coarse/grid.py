@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-# Share of the points at either end of an axis that count as outliers.
+# Share of the points at either end of an axis that are treated as outliers.
 _OUTLIERS: Final = 0.005
 
 

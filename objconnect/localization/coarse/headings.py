@@ -18,7 +18,7 @@ from objconnect.scene.localizer import Prior
 _DOWN: Final = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
 
 ALTITUDE_RATIOS: Final = (0.5, 0.6, 0.72, 0.87, 1.04, 1.25, 1.5)
-"""Heights above ground to try where the altitude is unknown, relative to that of the map's
+"""Heights above ground to try where the altitude is unknown, relative to the height of the map's
 photographs. Each is a fifth larger than the one before, because features tolerate a change of scale
 by a tenth."""
 LEVEL: Final = torch.eye(3, dtype=torch.float64)
@@ -34,8 +34,8 @@ class TiltOptions(Config):
         TILTS_DEG,
         min_length=1,
         description="Angles between the optical axis and straight down that are tried if the "
-        "attitude is unknown, deg. The coarse search tries the others only if no candidate at the "
-        "first one is accepted.",
+        "attitude is unknown, deg. The coarse search tries the angles after the first only if no "
+        "candidate at the first is accepted.",
     )
 
 
@@ -56,8 +56,8 @@ def has_attitude(prior: Prior | None) -> bool:
 def possible_headings(prior: Prior | None, count: int) -> tuple[Tensor, list[float]]:
     """Return an attitude, and rotations about the vertical (rad) that give the headings to try.
 
-    They lie within two standard deviations of the prior's heading, or on the full circle if that
-    is unknown.
+    They lie within two standard deviations of the prior's heading, or on the full circle if the
+    heading or its standard deviation is unknown.
 
     Args:
         prior: prior of the query; without an attitude the camera is assumed to look straight down.

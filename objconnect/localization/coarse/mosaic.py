@@ -79,7 +79,7 @@ class Mosaic:
 
     @staticmethod
     def of(arrays: Mapping[str, NDArray[Any]]) -> Mosaic:
-        """Return a mosaic from what ``arrays`` returned."""
+        """Return a mosaic from the result of ``arrays``."""
         origin, cell, heights, *rest = (arrays[name] for name in Mosaic.ARRAYS)
         features, known, mean, components = (torch.from_numpy(each).float() for each in rest)
         grid = GroundGrid(origin, float(cell[0]), heights)

@@ -1,7 +1,7 @@
 """Refinement of coarse poses of a query in all six dimensions, by their score on the mosaic.
 
-A search tries few tilts, headings and altitudes. Between them the right pose scores little more
-than wrong ones; at its best it stands out.
+A search tries few tilts, headings and altitudes. With the nearest of these, the right pose scores
+little more than wrong ones. After refinement it scores clearly more.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from objconnect.localization.featuremetric.maps import FeatureMap
 from objconnect.scene.geometry.pose import so3_exp
 from objconnect.scene.geometry.views import WarpedImage
 
-# First steps: of the axis up and down and of the heading (rad), of the logarithm of the altitude,
-# of the roll (rad), and of the position (cells). They are halved in each round.
-_TILT: Final = math.radians(6)
-_HEADING: Final = math.radians(3)
-_ALTITUDE: Final = 0.09
-_ROLL: Final = math.radians(3)
-_SHIFT: Final = 0.8
+# Initial steps of the tilt and the heading (rad), of the logarithm of the altitude, of the roll
+# (rad), and of the position (cells). They are halved in each round.
+_TILT_STEP: Final = math.radians(6)
+_HEADING_STEP: Final = math.radians(3)
+_ALTITUDE_STEP: Final = 0.09
+_ROLL_STEP: Final = math.radians(3)
+_SHIFT_STEP: Final = 0.8
 _ROUNDS: Final = 3
 
 
@@ -93,8 +93,12 @@ class ViewScorer:
         signs = torch.tensor(list(product((-1, 0, 1), repeat=3)), dtype=torch.float64)
         zero = torch.zeros(len(signs), dtype=torch.float64)
         a, b, c = signs.unbind(1)
-        shifts = torch.stack([zero, a * _ROLL, zero, zero, b * _SHIFT, c * _SHIFT], -1)
-        attitudes = torch.stack([a * _TILT, zero, b * _HEADING, c * _ALTITUDE, zero, zero], -1)
+        shifts = torch.stack(
+            [zero, a * _ROLL_STEP, zero, zero, b * _SHIFT_STEP, c * _SHIFT_STEP], -1
+        )
+        attitudes = torch.stack(
+            [a * _TILT_STEP, zero, b * _HEADING_STEP, c * _ALTITUDE_STEP, zero, zero], -1
+        )
         for k in range(_ROUNDS):
             for steps in (shifts, attitudes, shifts):
                 tried = poses.vary(steps / 2**k, cell)
@@ -106,16 +110,16 @@ class ViewScorer:
 
     def score(self, poses: CoarsePoses) -> tuple[Tensor, Tensor]:
         """Return the scores (P,) of poses, at most 1, and their centres (P, 2), world metres."""
-        away, weight = self._lay_out(poses.rotation, poses.altitude)
-        centre = poses.middle - _middle(away, weight)
+        ground, weight = self._lay_out(poses.rotation, poses.altitude)
+        centre = poses.middle - _middle(ground, weight)
         grid = self._mosaic.grid
         rows, columns = grid.shape
         origin = torch.from_numpy(grid.origin)
         size = torch.tensor([columns, rows]) * grid.cell
-        at = 2 * (centre[:, None] + away - origin) / size - 1
+        position = 2 * (centre[:, None] + ground - origin) / size - 1
         layers = torch.cat([self._mosaic.features, self._mosaic.known[None]])[None]
         sampled = torch.nn.functional.grid_sample(
-            layers, at.float()[None].to(layers.device), align_corners=False
+            layers, position.float()[None].to(layers.device), align_corners=False
         )[0]
         weight = weight.float().to(layers.device)
         # Between cells the mean of unit vectors is shorter.
@@ -132,18 +136,19 @@ class ViewScorer:
     def _lay_out(self, rotation: Tensor, altitude: Tensor) -> tuple[Tensor, Tensor]:
         """Return where cells lie on level ground (P, N, 2), metres from the camera, and weights.
 
-        A cell weighs as much as the cells of the mosaic that it covers, at most one.
+        The weight of a cell is multiplied by the number of the mosaic's cells that it covers, at
+        most one.
         """
         directions = self._rays @ rotation
         down = -directions[..., 2]
         depth = altitude[:, None] / down.clamp_min(1e-6)
-        away = directions[..., :2] * depth[..., None]
-        near = (down > 1e-6) & (away.norm(dim=-1) <= MAX_DISTANCE * altitude[:, None])
+        ground = directions[..., :2] * depth[..., None]
+        near = (down > 1e-6) & (ground.norm(dim=-1) <= MAX_DISTANCE * altitude[:, None])
         cells = self._area * depth**3 / altitude[:, None]
         weight = self._weight * cells.clamp(max=1.0) * near
-        return torch.where(near[..., None], away, 0.0), weight
+        return torch.where(near[..., None], ground, 0.0), weight
 
 
-def _middle(away: Tensor, weight: Tensor) -> Tensor:
+def _middle(ground: Tensor, weight: Tensor) -> Tensor:
     total = weight.sum(1, keepdim=True).clamp_min(1e-9)
-    return (weight[..., None] * away).sum(1) / total
+    return (weight[..., None] * ground).sum(1) / total

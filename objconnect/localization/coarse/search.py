@@ -23,11 +23,11 @@ from objconnect.scene.storage.lru_cache import MEGABYTE, LruCache
 
 MAX_DISTANCE: Final = 2.0
 """Ground is used up to this horizontal distance, in heights of the camera above ground. Few pixels
-show what is farther away."""
+show ground that is farther away."""
 MIN_OVERLAP: Final = 0.3
 """A candidate needs at least this share of the query's confidence on known cells of the mosaic."""
 UP: Final = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
-# Number of peaks of the correlation that are kept for each pass of the network and each altitude.
+# Number of peaks of the correlation that are kept for each pass of the network, tilt and altitude.
 _PEAKS: Final = 3
 # The height and width of a query projected to the ground are rounded up to multiples of this many
 # cells.
@@ -56,7 +56,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """Headings and altitudes to try.
+    """Headings, altitudes, tilts and region to search.
 
     Attributes:
         passes: rotations ``cam_from_world`` (3, 3), one for each pass of the network.
@@ -92,11 +92,11 @@ Extract = Callable[[Pose], tuple[WarpedImage, FeatureMap]]
 """Warps the query for a pose and computes its features of the coarsest level."""
 
 
-class SeenQuery(NamedTuple):
-    """A query as one pass of the network sees it.
+class QueryView(NamedTuple):
+    """A query that was warped for one pass of the network, with its features.
 
     Attributes:
-        rotation: (3, 3) ``cam_from_world`` of the hypothesis that it was warped for.
+        rotation: (3, 3) ``cam_from_world`` of the hypothesis that the query was warped for.
         view: the warped query.
         level: its coarsest features, reduced to the mosaic's channels.
     """
@@ -138,8 +138,8 @@ class MosaicSearch:
         self._spectra = LruCache(self._spectrum, _SPECTRA_MB * MEGABYTE)
 
     @torch.inference_mode()
-    def look(self, extract: Extract, hypotheses: Hypotheses) -> list[SeenQuery]:
-        """Return the query as each pass of the network sees it.
+    def extract_views(self, extract: Extract, hypotheses: Hypotheses) -> list[QueryView]:
+        """Return the warped query and its features for each pass of the network.
 
         Args:
             extract: warps the query north up for a pose, of which only height and rotation matter,
@@ -148,39 +148,39 @@ class MosaicSearch:
         """
         median_altitude = float(hypotheses.altitudes[len(hypotheses.altitudes) // 2])
         centre = torch.tensor([0.0, 0.0, median_altitude], dtype=torch.float64)
-        seen: list[SeenQuery] = []
+        views: list[QueryView] = []
         with progress_within("coarse search", len(hypotheses.passes)) as advance:
             for rotation in hypotheses.passes:
                 view, level = extract(Pose(rotation, -rotation @ centre))
                 reduced = self._mosaic.reduce_channels(level.features)
                 level = FeatureMap(reduced, level.confidence, level.stride)
-                seen.append(SeenQuery(rotation, view, level))
-                advance(len(seen))
-        return seen
+                views.append(QueryView(rotation, view, level))
+                advance(len(views))
+        return views
 
     def __call__(
-        self, seen: Sequence[SeenQuery], hypotheses: Hypotheses, count: int
+        self, views: Sequence[QueryView], hypotheses: Hypotheses, count: int
     ) -> list[Candidate]:
         """Return the best candidates, best first, at most ``count``.
 
         Args:
-            seen: the query as each pass of the network sees it, of ``look``.
+            views: the query for each pass of the network, from ``extract_views``.
             hypotheses: headings, altitudes and region to search.
             count: maximum number of candidates.
         """
-        peaks = [peak for each in seen for peak in self.peaks(each, hypotheses)]
+        peaks = [peak for each in views for peak in self.peaks(each, hypotheses)]
         return [self.candidate(peak) for peak in self.select(peaks, count)]
 
     @torch.inference_mode()
-    def peaks(self, seen: SeenQuery, hypotheses: Hypotheses) -> Iterator[Peak]:
+    def peaks(self, query: QueryView, hypotheses: Hypotheses) -> Iterator[Peak]:
         """Yield the peaks of one pass of the network."""
         turns = torch.tensor(hypotheses.turns, dtype=torch.float64)
         for tilt in hypotheses.tilts:
-            rotations = tilt @ seen.rotation @ so3_exp(turns[:, None] * UP)
-            footprint = self._footprint(seen.view, rotations)
+            rotations = tilt @ query.rotation @ so3_exp(turns[:, None] * UP)
+            footprint = self._footprint(query.view, rotations)
             for altitude in hypotheses.altitudes:
                 patch = self._project_to_ground(
-                    seen.view, seen.level, rotations, footprint, altitude
+                    query.view, query.level, rotations, footprint, altitude
                 )
                 if patch is not None:
                     for score, x, y, turn in self._correlate(patch, hypotheses.region):

@@ -1,4 +1,4 @@
-"""Search for a tilted camera: rough and wide, then refined where it is promising."""
+"""Search for a tilted camera on a mosaic of half the resolution, with refinement of the peaks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from objconnect.localization.coarse.search import (
     Hypotheses,
     MosaicSearch,
     Peak,
-    SeenQuery,
+    QueryView,
 )
 
 # Number of peaks of the rough search that are refined.
@@ -37,26 +37,26 @@ class TiltedSearch:
 
     @torch.inference_mode()
     def __call__(
-        self, seen: Sequence[SeenQuery], hypotheses: Hypotheses, count: int
+        self, views: Sequence[QueryView], hypotheses: Hypotheses, count: int
     ) -> list[Candidate]:
         """Return the best candidates, best first; see ``MosaicSearch``."""
         rough = [
             list(self._rough.peaks(each._replace(level=each.level.halve()), hypotheses))
-            for each in seen
+            for each in views
         ]
         best = self._rough.select([peak for peaks in rough for peak in peaks], _REFINED)
         refined = [
             peak
-            for each, peaks in zip(seen, rough, strict=True)
+            for each, peaks in zip(views, rough, strict=True)
             for peak in self._refine(each, [p for p in peaks if any(p is b for b in best)])
         ]
         return [self._fine.candidate(peak) for peak in self._fine.select(refined, count)]
 
-    def _refine(self, seen: SeenQuery, peaks: Sequence[Peak]) -> Iterator[Peak]:
+    def _refine(self, query: QueryView, peaks: Sequence[Peak]) -> Iterator[Peak]:
         """Yield the peaks of one pass of the network, refined."""
         if not peaks:
             return
-        scorer = ViewScorer(self._mosaic, seen.view, seen.level)
+        scorer = ViewScorer(self._mosaic, query.view, query.level)
         rotation = torch.stack([peak.rotation for peak in peaks])
         altitude = torch.tensor([peak.altitude for peak in peaks], dtype=torch.float64)
         centre = torch.tensor([[peak.x, peak.y] for peak in peaks], dtype=torch.float64)

@@ -33,8 +33,8 @@ _BEST_ANGLE_DEG: Final = 15.0
 _MAX_TESTED: Final = 24
 # The depth range exceeds the depths of the map's points by this share at either end.
 _DEPTH_MARGIN: Final = 0.1
-# Weight of a photograph whose baseline is parallel to that of a chosen neighbour. If it is at a
-# right angle, the weight is larger by 1.
+# Weight of a photograph whose baseline is parallel to the baseline of a chosen neighbour. A
+# baseline at a right angle has a weight that is larger by 1.
 _SAME_SIDE_WEIGHT: Final = 0.1
 
 
@@ -97,9 +97,9 @@ class Neighbours:
         middle = np.median(self._map.xyz[points], axis=0) if len(points) else self._centres[row]
         distance = float(np.linalg.norm(middle - self._centres[row]))
         worth = shared * self._rate_angles(row, distance)
-        chosen = self._spread(row, candidates, worth[candidates], [])
+        chosen = self._add_diverse(row, candidates, worth[candidates], [])
         if len(chosen) < self._options.neighbours:
-            chosen = self._spread(row, *self._find_in_view(row, chosen), chosen)
+            chosen = self._add_diverse(row, *self._find_in_view(row, chosen), chosen)
         return [self._map.names[other] for other in chosen]
 
     def depths(self, name: str) -> tuple[float, float]:
@@ -164,7 +164,7 @@ class Neighbours:
         weight[[row, *excluded]] = 0
         tested = np.argsort(-weight, kind="stable")[:_MAX_TESTED]
         points = self._ray_points(name, inverse)
-        share = np.array([self._share(points, self._map.names[other]) for other in tested])
+        share = np.array([self._share_in_view(points, self._map.names[other]) for other in tested])
         overlaps = (share >= options.min_shared_view) & (weight[tested] > 0)
         return tested[overlaps], (share * weight[tested])[overlaps]
 
@@ -180,14 +180,14 @@ class Neighbours:
         points = rays[usable] / torch.from_numpy(inverse_depths)[:, None, None]
         return image.pose.inverse().transform(points.flatten(0, 1))
 
-    def _share(self, points: Tensor, name: str) -> float:
+    def _share_in_view(self, points: Tensor, name: str) -> float:
         """Return the share of points (N, 3), world metres, that a photograph has in view."""
         image = self._map.images[name]
         projected = image.camera.project(image.pose.transform(points))
         seen = projected.valid & image.camera.contains(projected.xy)
         return float(seen.double().mean())
 
-    def _spread(
+    def _add_diverse(
         self,
         row: int,
         others: NDArray[np.int64],
@@ -196,7 +196,8 @@ class Neighbours:
     ) -> list[int]:
         """Return the chosen neighbours of a photograph and the best of others, added one by one.
 
-        A photograph counts more if its baseline is at a large angle to those of chosen ones.
+        A photograph has more weight if its baseline is at a large angle to the baselines of chosen
+        neighbours.
 
         Args:
             row: row of the photograph.

@@ -32,7 +32,7 @@ from objconnect.scene.storage.images import read_rgb
 from objconnect.scene.storage.lru_cache import LruCache
 
 # Number of photographs in the cache in memory.
-_CACHED: Final = 12
+_CACHED_PHOTOGRAPHS: Final = 12
 # Number of pixels that are triangulated at once.
 _CHUNK: Final = 1024
 # Samples of the window to either side of its centre, and pixels between samples. The window of 9
@@ -125,7 +125,7 @@ class Sweeper:
         cameras = {image.camera for image in sparse_map.images.values()}
         sizes = (c.width * c.height * self._scale(c) ** 2 for c in cameras)
         largest = max(sizes, default=0.0) * np.dtype(np.float32).itemsize
-        self.photograph = LruCache(self._read, math.ceil(_CACHED * largest))
+        self.photograph = LruCache(self._read, math.ceil(_CACHED_PHOTOGRAPHS * largest))
         self._neighbours = Neighbours(sparse_map, options)
 
     @torch.inference_mode()
@@ -135,7 +135,7 @@ class Sweeper:
         xy: NDArray[np.float64],
         depths: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
     ) -> SweptPoints:
-        """Triangulate pixels of one photograph; none is sure if it has too few neighbours.
+        """Triangulate pixels of one photograph; none is sure if there are too few neighbours.
 
         Args:
             name: name of the photograph.
@@ -150,20 +150,24 @@ class Sweeper:
         if len(neighbours) < 2 or not len(xy):
             return SweptPoints(np.zeros((len(xy), 3)), np.zeros(len(xy), bool), np.zeros(len(xy)))
         photograph = self.photograph(name)
-        tried = self._inverse_depths(name, photograph.camera, neighbours, len(xy), depths)
+        inverse_depths = self._inverse_depths(name, photograph.camera, neighbours, len(xy), depths)
         others = [self.photograph(each) for each in neighbours]
         rows = np.arange(len(xy))
         smallest = min(min(each.grey.shape) for each in (photograph, *others))
         shrink = min(self._options.shrink, smallest // _LEAST_SIDE_PX)
         if depths is None and shrink > 1:
-            tried, clear = self._sweep_downscaled(photograph, xy, others, tried, shrink)
+            inverse_depths, clear = self._sweep_downscaled(
+                photograph, xy, others, inverse_depths, shrink
+            )
             rows = np.flatnonzero(clear)
         pixels = torch.from_numpy(xy)
         xyz, sure = np.zeros((len(xy), 3)), np.zeros(len(xy), bool)
         score = np.zeros(len(xy))
         for begin in range(0, len(rows), _CHUNK):
             part = rows[begin : begin + _CHUNK]
-            found = self._triangulate(photograph, pixels[part], others, tried[part].float())
+            found = self._triangulate(
+                photograph, pixels[part], others, inverse_depths[part].float()
+            )
             xyz[part], sure[part], score[part] = found
         return SweptPoints(xyz, sure, score)
 
@@ -187,7 +191,7 @@ class Sweeper:
         photograph: GreyPhotograph,
         xy: NDArray[np.float64],
         others: Sequence[GreyPhotograph],
-        tried: Tensor,
+        inverse_depths: Tensor,
         shrink: int,
     ) -> tuple[Tensor, NDArray[np.bool_]]:
         """Sweep downscaled photographs.
@@ -196,7 +200,7 @@ class Sweeper:
             photograph: the photograph.
             xy: (N, 2) pixels of the photograph.
             others: the neighbours.
-            tried: inverse depths (N, D), the same for all pixels.
+            inverse_depths: inverse depths (N, D), the same for all pixels.
             shrink: factor by which the photographs are downscaled.
 
         Returns:
@@ -206,7 +210,7 @@ class Sweeper:
         small, *small_others = (each.downscale(shrink) for each in (photograph, *others))
         sweep = PlaneSweep(small, _SHRUNK_WINDOW_PX, BORDER_PX / shrink)
         stride = max(1, round(shrink * _PLANE_STEP_PX))
-        planes = tried[0, ::stride]
+        planes = inverse_depths[0, ::stride]
         first, second = _best_two([sweep(xy / shrink, planes, other) for other in small_others])
         score = 0.5 * (first + second)
         best = score.argmax(1)
@@ -215,10 +219,10 @@ class Sweeper:
         row = np.arange(len(best))
         clear = score[row, best] > rival + _RIVAL_MARGIN
         clear &= second[row, best] > self._options.shrunk_correlation
-        count = min(2 * _NEAR_STEPS + 1, tried.shape[1])
+        count = min(2 * _NEAR_STEPS + 1, inverse_depths.shape[1])
         middle = np.round(stride * _peak(score, best)).astype(int)
-        begin = np.clip(middle - _NEAR_STEPS, 0, tried.shape[1] - count)
-        return tried.gather(1, torch.from_numpy(begin[:, None] + np.arange(count))), clear
+        begin = np.clip(middle - _NEAR_STEPS, 0, inverse_depths.shape[1] - count)
+        return inverse_depths.gather(1, torch.from_numpy(begin[:, None] + np.arange(count))), clear
 
     def _scale(self, camera: Camera) -> float:
         """Return the scale to which photographs of a camera are resized."""
@@ -243,7 +247,7 @@ class Sweeper:
     ) -> Tensor:
         """Return the inverse depths (N, D) to try, in ascending order, 1/metres.
 
-        Successive ones shift a pixel by about one pixel in the farthest neighbour.
+        Successive depths shift a pixel by about one pixel in the farthest neighbour.
 
         Args:
             name: name of the photograph.
@@ -267,8 +271,8 @@ class Sweeper:
         share = torch.linspace(
             0, 1, min(max(steps, 8), self._options.max_depths), dtype=torch.float64
         )
-        tried: Tensor = low[:, None] + (high - low)[:, None] * share
-        return tried
+        inverse_depths: Tensor = low[:, None] + (high - low)[:, None] * share
+        return inverse_depths
 
     def _triangulate(
         self,
@@ -285,7 +289,7 @@ class Sweeper:
         """
         sweep = WindowSweep(photograph, xy, self._window, BORDER_PX)
         first, second = _best_two([sweep(inverse_depths, other) for other in others])
-        # Only the two best neighbours count, because the point may be occluded in the others.
+        # Only the two best neighbours are used, because the point may be occluded in the others.
         score = 0.5 * (first + second)
         index = score.argmax(1)
         row = np.arange(len(index))

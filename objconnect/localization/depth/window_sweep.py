@@ -44,8 +44,8 @@ class WindowSweep:
         # shape.
         three = xy[:, None] + xy.new_tensor([[0, 0], [1, 0], [0, 1]])
         rays, usable = photograph.camera.unproject(three.flatten(0, 1))
-        self._three = rays.view(*three.shape[:2], 3).float()
-        self.rays, self.usable = self._three[:, 0], usable.view(three.shape[:2]).all(1)
+        self._triple_rays = rays.view(*three.shape[:2], 3).float()
+        self.rays, self.usable = self._triple_rays[:, 0], usable.view(three.shape[:2]).all(1)
         self._pose, self._border = photograph.pose, border
         self._window = window.float()
         x, y = (xy[:, None] + window - 0.5).float().unbind(-1)
@@ -65,7 +65,7 @@ class WindowSweep:
         texture.
         """
         relative = (other.pose @ self._pose.inverse()).to(dtype=torch.float32)
-        rotated = self._three @ relative.rotation.T
+        rotated = self._triple_rays @ relative.rotation.T
         blocks = [
             self._block(rotated, relative.translation, block, other)
             for block in torch.split(inverse_depths, _BLOCK, 1)

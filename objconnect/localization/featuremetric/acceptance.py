@@ -25,7 +25,7 @@ RIGHT_M: Final = 5.0
 """Largest position error of a right pose, metres."""
 RIGHT_DEG: Final = 10.0
 """Largest rotation error of a right pose, degrees."""
-# Log odds are clipped to this absolute value, because no calibration data go beyond.
+# Log odds are clipped to this absolute value, because the calibration data do not go beyond it.
 _MAX_LOG_ODDS: Final = 20.0
 
 
@@ -97,7 +97,7 @@ def best_probability(
     """Return the index of the likeliest pose, and the probability that it is right.
 
     At most one position is right, so two equally likely ones have a probability of at most a half
-    each. If ``is_same_pose`` is true for several poses, only the likeliest of them counts.
+    each. If ``is_same_pose`` is true for several poses, only the likeliest of them is used.
 
     Args:
         poses: poses with their log odds; at least one.

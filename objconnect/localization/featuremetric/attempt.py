@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from objconnect.localization.align.aligner import Alignment
-from objconnect.localization.align.covariance import Spread, measure_spread
+from objconnect.localization.align.covariance import PoseUncertainty, measure_uncertainty
 from objconnect.localization.align.problem import Problem
 from objconnect.localization.featuremetric.acceptance import best_probability
 from objconnect.localization.featuremetric.calibration import calibrate_covariance
@@ -43,7 +43,7 @@ class Attempt:
     Attributes:
         view: the warped image.
         alignment: the alignment of the view.
-        spread: uncalibrated covariance of the view's pose; None if the alignment failed.
+        uncertainty: uncalibrated covariance of the view's pose; None if the alignment failed.
         fit: cost as a share of the cost by chance (``problem.fit``); infinite if it failed.
         evidence: figures that tell a right pose from a wrong one; None if it failed.
         log_odds: log odds that the pose is right; minus infinity if it failed.
@@ -51,7 +51,7 @@ class Attempt:
 
     view: WarpedImage
     alignment: Alignment
-    spread: Spread | None
+    uncertainty: PoseUncertainty | None
     fit: float
     evidence: Evidence | None
     log_odds: float
@@ -73,13 +73,14 @@ def evaluate_alignment(aligned: AlignedView, options: SearchOptions) -> Attempt:
     view, problem, alignment = aligned.view, aligned.problem, aligned.alignment
     if alignment.has_failed[0]:
         return Attempt(view, alignment, None, math.inf, None, -math.inf)
-    spread, cost_share = measure_spread(problem, alignment.pose), fit(problem, alignment.pose)
-    evidence = measure_evidence(problem, alignment.pose, float(spread.curvature[0]))
+    uncertainty = measure_uncertainty(problem, alignment.pose)
+    cost_share = fit(problem, alignment.pose)
+    evidence = measure_evidence(problem, alignment.pose, float(uncertainty.curvature[0]))
     log_odds = options.acceptance.alignment_log_odds(evidence)
-    return Attempt(view, alignment, spread, cost_share, evidence, log_odds)
+    return Attempt(view, alignment, uncertainty, cost_share, evidence, log_odds)
 
 
-def likeliest(attempts: Sequence[Attempt], rivals: Rivals = ()) -> tuple[Attempt, float]:
+def select_likeliest(attempts: Sequence[Attempt], rivals: Rivals = ()) -> tuple[Attempt, float]:
     """Return the likeliest attempt, and the probability that it is right."""
     poses = [(each.pose, each.log_odds) for each in attempts]
     best, probability = best_probability(poses, rivals)
@@ -88,13 +89,13 @@ def likeliest(attempts: Sequence[Attempt], rivals: Rivals = ()) -> tuple[Attempt
 
 def is_probable(attempts: Sequence[Attempt], options: SearchOptions, rivals: Rivals = ()) -> bool:
     """Return whether the likeliest attempt is right with a probability of at least 1 - risk."""
-    best, probability = likeliest(attempts, rivals)
+    best, probability = select_likeliest(attempts, rivals)
     return not best.has_failed and probability >= 1 - options.risk
 
 
 def is_accepted(attempts: Sequence[Attempt], options: SearchOptions, rivals: Rivals = ()) -> bool:
     """Return whether the likeliest attempt is an answer: probable, with a small enough sigma."""
-    best, probability = likeliest(attempts, rivals)
+    best, probability = select_likeliest(attempts, rivals)
     return not _rejection_reason(best, probability, len(attempts), options)
 
 
@@ -116,12 +117,12 @@ def select_estimate(
         clock: time of the query so far.
         rivals: poses that no attempt gave, such as one by matches.
     """
-    best, probability = likeliest(attempts, rivals)
+    best, probability = select_likeliest(attempts, rivals)
     answer = Estimate(
         Status.OK,
         best.pose,
         pose_covariance(best, options),
-        inliers=int(best.alignment.seen),
+        inliers=int(best.alignment.points_in_view),
         iterations=sum(int(each.alignment.iterations) for each in attempts),
         seconds=clock.seconds,
         reason=_rejection_reason(best, probability, len(attempts), options),
@@ -161,10 +162,10 @@ def _rejection_reason(best: Attempt, probability: float, tried: int, options: Se
 
 def pose_covariance(attempt: Attempt, options: SearchOptions) -> NDArray[np.float64] | None:
     """Return the calibrated covariance (6, 6) of an attempt's pose; None if it is not finite."""
-    if attempt.spread is None or not attempt.spread.covariance.isfinite().all():
+    if attempt.uncertainty is None or not attempt.uncertainty.covariance.isfinite().all():
         return None
     assert options.covariance is not None
-    view_covariance = calibrate_covariance(attempt.spread, attempt.fit, options.covariance)
+    view_covariance = calibrate_covariance(attempt.uncertainty, attempt.fit, options.covariance)
     return attempt.view.photograph_covariance(view_covariance[0])
 
 

@@ -7,16 +7,16 @@ from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
-from objconnect.localization.align.covariance import Spread
+from objconnect.localization.align.covariance import PoseUncertainty
 from objconnect.localization.featuremetric.calibration_files import CalibrationFile
 
 
 class CovarianceModel(CalibrationFile):
     """The numbers of ``calibrate_covariance`` for one network.
 
-    A patch is a square of an image whose points count as dependent (``Spread``). The fit is the
-    cost at the pose as a share of the cost by chance. ``python -m experiments.covariance`` finds
-    the numbers.
+    A patch is a square of an image whose points are treated as dependent (``PoseUncertainty``). The
+    fit is the cost at the pose as a share of the cost by chance.
+    ``python -m experiments.covariance`` fits the numbers.
     """
 
     kind = "covariance"
@@ -47,8 +47,8 @@ class CovarianceModel(CalibrationFile):
     )
     unchanged_fit: float = Field(
         gt=0,
-        description="Information-weighted fit of the points up to which light and season count as "
-        "the map's, so that no floor is added, for a query from the map's own viewpoints.",
+        description="Information-weighted fit of a query from the map's own viewpoints in its "
+        "light and season; up to this fit, no floor is added.",
     )
     view_fit: float = Field(
         ge=0,
@@ -57,42 +57,42 @@ class CovarianceModel(CalibrationFile):
     )
     changed_fit: float = Field(
         gt=0,
-        description="Relative excess of the fit over that of the map's season at which the whole "
-        "floor is added; below, the added variance grows in proportion.",
+        description="Relative excess of the fit over unchanged_fit and view_fit at which the "
+        "whole floor is added; below, the added variance grows in proportion.",
     )
 
 
 def calibrate_covariance(
-    spread: Spread, fit: float | NDArray[np.float64], model: CovarianceModel
+    uncertainty: PoseUncertainty, fit: float | NDArray[np.float64], model: CovarianceModel
 ) -> NDArray[np.float64]:
     """Return the calibrated covariances (B, 6, 6) of aligned poses; see ``compute_scales``."""
-    factor, variances = compute_scales(spread, fit, model)
+    factor, variances = compute_scales(uncertainty, fit, model)
     added = variances[:, :, None] * np.eye(6)
-    return np.asarray(factor[:, None, None] * spread.covariance.cpu().numpy() + added)
+    return np.asarray(factor[:, None, None] * uncertainty.covariance.cpu().numpy() + added)
 
 
 def compute_scales(
-    spread: Spread, fit: float | NDArray[np.float64], model: CovarianceModel
+    uncertainty: PoseUncertainty, fit: float | NDArray[np.float64], model: CovarianceModel
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the factors (B,) on measured covariances, and the variances (B, 6) to add.
 
-    ``ratio`` is the information-weighted fit of the points, divided by that of a query in the light
-    and season of the map. The latter is worse the more the query's view differs from those of the
-    map's photographs. The measured covariance is multiplied by
+    ``ratio`` is the information-weighted fit of the points, divided by the fit of a query in the
+    light and season of the map. The divisor grows with the angle between the directions in which
+    the query and the map's photographs see the points. The measured covariance is multiplied by
 
-    - ``factor`` and ``ratio``: the slopes of a changed query are not those of the map;
+    - ``factor`` and ``ratio``: the slopes of a changed query differ from the map's;
     - ``(100 / patches)**patches_power``: clustered estimates from few clusters are too small
       (Cameron and Miller, Journal of Human Resources 2015);
     - a factor that shrinks the scatter of the patches towards ``level``, as the posterior mean of a
-      variance whose prior counts ``level_patches`` patches (Smyth, Statistical Applications
-      in Genetics and Molecular Biology 2004).
+      variance whose prior has the weight of ``level_patches`` patches (Smyth, Statistical
+      Applications in Genetics and Molecular Biology 2004).
 
     Errors that move all points alike, such as shadows when the sun moves, do not show in residuals.
     A variance is added for them. It rises from 0 at ``ratio`` 1 to ``floor`` squared at
     ``1 + changed_fit``.
 
     Args:
-        spread: measured covariances; finite.
+        uncertainty: measured covariances; finite.
         fit: (B,) cost as a share of the cost by chance; a number for one pose.
         model: numbers of the calibration.
 
@@ -101,9 +101,11 @@ def compute_scales(
         (m^2), which are larger by the square of the depth of the points.
     """
     patches, scatter_level, effective_patches = _arrays(
-        spread.patches, spread.scatter_level, spread.effective_patches
+        uncertainty.patches, uncertainty.scatter_level, uncertainty.effective_patches
     )
-    depth, view_cosine, cost = _arrays(spread.depth, spread.view_cosine, spread.informative_cost)
+    depth, view_cosine, cost = _arrays(
+        uncertainty.depth, uncertainty.view_cosine, uncertainty.informative_cost
+    )
     ratio = fit * cost / (model.unchanged_fit + model.view_fit * (1 - view_cosine))
     factor = model.factor * ratio * (patches / 100) ** -model.patches_power
     known = scatter_level > 0

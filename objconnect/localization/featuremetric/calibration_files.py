@@ -38,7 +38,7 @@ class CalibrationFile(Config):
 
     @classmethod
     def load_beside(cls, weights: Path | None) -> Self:
-        """Read the file beside weights, or that of the shipped networks if there is none.
+        """Read the file beside weights, or the file of the shipped networks if there is none.
 
         Args:
             weights: the user's weights, see ``find_weights``; None for the shipped ones.

@@ -84,7 +84,7 @@ class CornerFinder:
             InputError: a photograph is missing or damaged.
         """
         photograph = self._sweep.photograph(name)
-        xy = _corners(photograph.grey, self._max_corners)
+        xy = _detect_corners(photograph.grey, self._max_corners)
         swept = self._sweep(name, xy)
         return Corners(photograph.in_photograph(xy[swept.sure]), swept.xyz[swept.sure])
 
@@ -125,13 +125,13 @@ def all_corners(
     return [store.read(row, "xyz") for row in range(len(store))]
 
 
-def _corners(grey: Tensor, most: int) -> NDArray[np.float64]:
+def _detect_corners(grey: Tensor, max_corners: int) -> NDArray[np.float64]:
     """Return Shi-Tomasi corners (N, 2), pixels, the strongest first."""
     smooth = cv2.GaussianBlur(grey.numpy(), (0, 0), _BLUR_PX)
-    corners = cv2.goodFeaturesToTrack(smooth, most, _QUALITY, _MIN_DISTANCE_PX)
+    corners = cv2.goodFeaturesToTrack(smooth, max_corners, _QUALITY, _MIN_DISTANCE_PX)
     if corners is None:
         return np.empty((0, 2))
-    # OpenCV counts from the first pixel's centre.
+    # OpenCV's origin is the centre of the first pixel.
     xy = corners[:, 0].astype(np.float64) + 0.5
     size = np.array(grey.shape[::-1])
     return np.asarray(xy[((xy >= BORDER_PX) & (xy <= size - BORDER_PX)).all(1)])

@@ -39,7 +39,7 @@ _STEP_CELLS: Final = 3.0
 _SHIFTS: Final = 8
 # Shifts shorter than this (cells) belong to the peak of the pose itself.
 _CORE_CELLS: Final = 4.0
-# A shift counts if at least this share of the points in view at the pose stays in the picture.
+# A shift is compared if at least this share of the points in view at the pose stays in the picture.
 _MIN_SHARE: Final = 0.3
 # Squares along each side of the checkerboard that divides the picture into two halves.
 _SQUARES: Final = 6
@@ -54,7 +54,8 @@ class Evidence:
             standard deviation of the gain at the shifts.
         halves: median distance between the points projected by the poses of two halves of the
             picture, cells of the finest level; infinite if a half has no pose.
-        curvature: curvature of the cost around the pose, as a share of Gauss-Newton's (``Spread``).
+        curvature: curvature of the cost around the pose, as a share of Gauss-Newton's
+            (``PoseUncertainty``).
     """
 
     peak: float
@@ -64,7 +65,7 @@ class Evidence:
     def terms(self) -> tuple[float, float, float]:
         """Return the terms of the logistic regression: logarithms of the fields within bounds.
 
-        NaN counts as the worst value.
+        NaN is replaced by the worst value.
         """
         halves = _MAX_HALVES_CELLS if math.isnan(self.halves) else self.halves
         # With the bound as first argument, ``max`` returns it for NaN.

@@ -1,8 +1,8 @@
 """Localization of an image with an incomplete or missing prior.
 
 Matches, known objects, the coarse search and the method ``search.matcher`` give candidates. The
-best of each is refined, then those of the others whose screening gives a high peak. The first
-probable refined pose ends the search.
+best candidate of each is refined, then its other candidates whose screening gives a high peak. The
+first probable refined pose ends the search.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from objconnect.localization.featuremetric.attempt import (
     Rivals,
     is_accepted,
     is_probable,
-    likeliest,
     select_estimate,
+    select_likeliest,
 )
 from objconnect.localization.featuremetric.matched_finder import MatchedFinder
 from objconnect.localization.featuremetric.options import SearchOptions
@@ -113,29 +113,30 @@ class GlobalSearch:
         options = self.refine.config.search
         tried: list[Candidate] = []
         for candidates in self.find(query, clock):
-            for candidate in self._promising(query, candidates, clock):
+            for candidate in self._select_promising(query, candidates, clock):
                 attempts.append(self._align(query, candidate, clock))
                 tried.append(candidate)
                 if is_probable(attempts, options, rivals):
                     # Warped from the new pose, the image is rotated and scaled better.
-                    best, _ = likeliest(attempts)
+                    best, _ = select_likeliest(attempts)
                     attempts.append(self.refine.align_near(query, best.pose, clock))
-                    return self._best(attempts, candidate, clock, rivals)
+                    return self._select_best(attempts, candidate, clock, rivals)
         if self.coarse is None or not tried:
             return None
-        return self._best(attempts, tried[0], clock, rivals)
+        return self._select_best(attempts, tried[0], clock, rivals)
 
     def _align(self, query: Query, candidate: Candidate, clock: Stopwatch) -> Attempt:
-        """Refine a candidate; a pose by matches is nearer to the truth than others."""
+        """Refine a candidate, with a smaller search radius if it is a pose by matches."""
         radius = MATCHES_RADIUS if candidate.by is By.MATCHES else None
         return self.refine.align_near(query, candidate.pose, clock, radius)
 
-    def _promising(
+    def _select_promising(
         self, query: Query, candidates: Sequence[Candidate], clock: Stopwatch
     ) -> Iterator[Candidate]:
         """Yield the candidates of a finder that are worth a full alignment.
 
-        The first is often right and is not screened. The others are screened when they are needed.
+        The first is often right and is not screened. The others are screened only if the first
+        gives no probable pose.
         """
         yield from candidates[:1]
         screened = screen_candidates(self.refine, query, candidates[1:], clock)
@@ -156,7 +157,7 @@ class GlobalSearch:
         for find in finders:
             yield from find(query, clock)
 
-    def _best(
+    def _select_best(
         self, attempts: Sequence[Attempt], fallback: Candidate, clock: Stopwatch, rivals: Rivals
     ) -> Estimate:
         options = self.refine.config.search
@@ -180,7 +181,9 @@ class GlobalSearch:
         best, probability = best_probability([(attempt.pose, attempt.log_odds), *rivals])
         same = is_same_pose(attempt.pose, start)
         if (same or best == 0) and is_accepted([attempt], options, rivals):
-            return self._best([attempt], Candidate(start, 0.0, By.MATCHES), clock, rivals), []
+            return self._select_best(
+                [attempt], Candidate(start, 0.0, By.MATCHES), clock, rivals
+            ), []
         if (best == 0 and not same) or probability < 1 - options.risk:
             return None, [attempt]
         return replace(matched, seconds=clock.seconds, probability=probability), []
@@ -222,7 +225,7 @@ class GlobalSearch:
         """Return the poses of map photographs that are similar to the query."""
         config = self.refine.config
         with clock.stage("retrieval"):
-            chosen = self.refine.photographs(query)
-            poses = starts(query.prior, self.sparse_map, chosen, config.same_place_m)
+            reference_rows = self.refine.choose_references(query)
+            poses = starts(query.prior, self.sparse_map, reference_rows, config.same_place_m)
         by = source_of_starts(query.prior)
         return [Candidate(pose, 0.0, by) for pose in poses[: config.place.candidates]]

@@ -29,8 +29,8 @@ from objconnect.localization.featuremetric.attempt import (
     Attempt,
     is_accepted,
     is_probable,
-    likeliest,
     select_estimate,
+    select_likeliest,
 )
 from objconnect.localization.featuremetric.global_search import (
     MATCHES_RADIUS,
@@ -83,11 +83,11 @@ class FeaturemetricLocalizer:
 
     Attributes:
         matched_finder: finds starts by the method ``search.matcher``. ``objconnect.methods.create``
-            sets it, because this package knows no other methods.
+            sets it, because this package does not import other methods.
 
     Raises:
         InputError: this processor cannot run the network quantized, an option has no effect with
-            the others, or a calibration file beside the weights is damaged.
+            the other options, or a calibration file beside the weights is damaged.
     """
 
     def __init__(
@@ -114,7 +114,7 @@ class FeaturemetricLocalizer:
 
     @property
     def weights_sha256(self) -> str | None:
-        """Return the digest of the network's weights, together with those of ``search.matcher``."""
+        """Return the digest of the network's weights, together with that of ``search.matcher``."""
         if self.matched_finder is None:
             return self._network_sha256
         return sha256(self._network_sha256, self.matched_finder.weights_sha256 or "")
@@ -140,26 +140,26 @@ class FeaturemetricLocalizer:
     def _prepare_matches(self, map_cache: MapCache) -> None:
         """Prepare matches; prepare alignment too if there are no matches, else defer it."""
         config, self._map = self.config, map_cache.sparse_map
-        kept_mb = self._memory_left_mb(config.max_magnification)
+        available_mb = self._memory_left_mb(config.max_magnification)
         # Matches are prepared first, because they take more memory than the rest.
         self._matches = None
         if config.multistart and config.matches is not None:
-            memory_mb = min(kept_mb, config.matches.memory_mb)
+            memory_mb = min(available_mb, config.matches.memory_mb)
             matches_config = config.matches.model_copy(update={"memory_mb": memory_mb})
             self._matches = prepare_matcher(matches_config, map_cache)
-        self._preparation = Preparation(partial(self._prepare_alignment, map_cache, kept_mb))
+        self._preparation = Preparation(partial(self._prepare_alignment, map_cache, available_mb))
         if self._matches is None:
             self._preparation()
             return
         self._release_freed_memory()
 
-    def _prepare_alignment(self, map_cache: MapCache, kept_mb: int) -> MapState:
-        """Prepare alignment; ``kept_mb`` is the memory left beside a pass of the network."""
+    def _prepare_alignment(self, map_cache: MapCache, available_mb: int) -> MapState:
+        """Prepare alignment; ``available_mb`` is the memory left beside a pass of the network."""
         config, sparse_map = self.config, map_cache.sparse_map
         source = self._source(map_cache)
         extra_finder = self._extra_finder if config.multistart else None
         observer = None if extra_finder is None else extra_finder.observer(source)
-        observations = load_references(source, kept_mb, observer)
+        observations = load_references(source, available_mb, observer)
         extract = self._extract
         if config.quantized:
             extract = quantize_extractor(source)
@@ -174,8 +174,8 @@ class FeaturemetricLocalizer:
         options = config.tracking
         tracking = None if options is None else Tracking(problems, config.search, options)
         # Retrieval uses the coarsest features, so that no other network has to run.
-        described = LazyDescriptors(observations.coarse, len(observations))
-        retrieval = References.build(sparse_map, described)
+        descriptors = LazyDescriptors(observations.read_coarse, len(observations))
+        retrieval = References.build(sparse_map, descriptors)
         refine = Refiner(
             config,
             extract,
@@ -183,7 +183,7 @@ class FeaturemetricLocalizer:
             retrieval,
             self._matches,
             self._memory_left_mb(1.0) * MEGABYTE,
-            kept_mb * MEGABYTE,
+            available_mb * MEGABYTE,
         )
         coarse = None
         if config.multistart and config.place.candidates:
@@ -198,7 +198,7 @@ class FeaturemetricLocalizer:
         return MapState(refine, search, tracking)
 
     def _release_freed_memory(self) -> None:
-        """Return freed memory to the system, and set the memory above which queries do so too."""
+        """Return freed memory to the system, and set the memory above which queries return it."""
         freeze_objects()
         trim_heap()
         self._trim_above_bytes = resident_bytes() + _RETURN_FREED_MB * MEGABYTE
@@ -232,7 +232,7 @@ class FeaturemetricLocalizer:
             return Estimate(Status.FAILED, reason=reason)
         if (side := self._compute_shorter_side(query)) < LEAST_SIDE:
             reason = (
-                f"the shorter side of the image is {side} pixels once the longer side is at most "
+                f"the shorter side of the image is {side} pixels if the longer side is limited to "
                 f"{self.config.longest}; at least {LEAST_SIDE} are needed"
             )
             return Estimate(Status.FAILED, reason=reason)
@@ -244,11 +244,11 @@ class FeaturemetricLocalizer:
             return found
         refine = self._preparation.prepare_for_query(clock).refine
         with clock.stage("retrieval"):
-            chosen = refine.photographs(query)
-            if not len(chosen):
+            reference_rows = refine.choose_references(query)
+            if not len(reference_rows):
                 return Estimate(Status.FAILED, seconds=clock.seconds, reason=NO_REFERENCE)
-            poses = starts(query.prior, self._map, chosen, self.config.same_place_m)
-        attempts = self._attempts(refine, query, chosen, poses, clock)
+            poses = starts(query.prior, self._map, reference_rows, self.config.same_place_m)
+        attempts = self._make_attempts(refine, query, reference_rows, poses, clock)
         if not is_accepted(attempts, self.config.search):
             attempts += self._try_matched(refine, query, clock)
         return select_estimate(
@@ -260,7 +260,7 @@ class FeaturemetricLocalizer:
         return self.config.multistart and query.references is None and not has_pose(query.prior)
 
     def _search(self, query: Query, clock: Stopwatch) -> Estimate | None:
-        """Return the pose by matches if ``is_sure_match``, else that of a global search; None if
+        """Return the pose by matches if ``is_sure_match``, else from a global search; None if
         the global search gives none."""
         matched = None
         if self._matches is not None:
@@ -277,17 +277,17 @@ class FeaturemetricLocalizer:
             return None
         prepared = self._preparation.prepare_for_query(clock)
         assert prepared.tracking is not None
-        attempt = prepared.tracking(query, prepared.refine.photographs(query), clock)
+        attempt = prepared.tracking(query, prepared.refine.choose_references(query), clock)
         if attempt is None:
             return None
         found = select_estimate([attempt], [attempt.pose], By.TRACKING, self.config.search, clock)
         return replace(found, by=By.TRACKING)
 
-    def _attempts(
+    def _make_attempts(
         self,
         refine: Refiner,
         query: Query,
-        chosen: NDArray[np.int64],
+        reference_rows: NDArray[np.int64],
         poses: Sequence[Pose],
         clock: Stopwatch,
     ) -> list[Attempt]:
@@ -299,19 +299,19 @@ class FeaturemetricLocalizer:
         Args:
             refine: refines a start.
             query: the image.
-            chosen: rows of its reference images.
+            reference_rows: rows of its reference images.
             poses: starts, ``cam_from_world``.
             clock: sums the seconds of each stage.
         """
         options = self.config.search
-        attempts = self._try_starts(refine, query, chosen, poses, clock)
+        attempts = self._try_starts(refine, query, reference_rows, poses, clock)
         is_single_search = not self.config.multistart or options.again == 1
         if is_single_search or is_accepted(attempts, options):
             return attempts
-        thorough = refine.wider(options.again)
+        thorough = refine.widen(options.again)
         if has_pose(query.prior):
-            return attempts + self._try_starts(thorough, query, chosen, poses, clock)
-        best, probability = likeliest(attempts)
+            return attempts + self._try_starts(thorough, query, reference_rows, poses, clock)
+        best, probability = select_likeliest(attempts)
         if probability > options.risk:
             attempts.append(thorough.align_near(self._prepare_near(query), best.pose, clock))
         return attempts
@@ -331,7 +331,7 @@ class FeaturemetricLocalizer:
         self,
         refine: Refiner,
         query: Query,
-        chosen: NDArray[np.int64],
+        reference_rows: NDArray[np.int64],
         poses: Sequence[Pose],
         clock: Stopwatch,
     ) -> list[Attempt]:
@@ -346,11 +346,11 @@ class FeaturemetricLocalizer:
         with progress_within("starts aligned", len(poses)) as advance:
             for _, at_position in by_position:
                 for start in at_position:
-                    attempts.append(refine(query, chosen, start, clock, radius))
+                    attempts.append(refine(query, reference_rows, start, clock, radius))
                     advance(len(attempts))
                 if is_probable(attempts, options):
                     if len(poses) > 1 or self._searches_position(query):
-                        best, _ = likeliest(attempts)
+                        best, _ = select_likeliest(attempts)
                         attempts.append(
                             refine.align_near(self._prepare_near(query), best.pose, clock)
                         )

@@ -81,7 +81,7 @@ class FeatureMap:
     stride: int
 
     def halve(self) -> FeatureMap:
-        """Return the map with cells of twice the side, each the mean of four by confidence."""
+        """Return the map with cells of twice the side: confidence-weighted means of four cells."""
         weighted = torch.nn.functional.normalize(self.features, dim=1) * self.confidence
         return FeatureMap(
             torch.nn.functional.avg_pool2d(weighted, 2, ceil_mode=True),
@@ -96,10 +96,10 @@ class FeatureMap:
         """
         height, width = self.features.shape[-2:]
         half, xy = self.stride / 2, xy.to(self.features.device)
-        most = xy.new_tensor([width, height]) * self.stride - half
-        within = torch.minimum(xy.clamp(min=half), most)
-        features, _ = sample(self.features, within[None], self.stride)
-        confidence, _ = sample(self.confidence, within[None], self.stride)
+        limit = xy.new_tensor([width, height]) * self.stride - half
+        clamped = torch.minimum(xy.clamp(min=half), limit)
+        features, _ = sample(self.features, clamped[None], self.stride)
+        confidence, _ = sample(self.confidence, clamped[None], self.stride)
         return torch.nn.functional.normalize(features[0], dim=-1), confidence[0, :, 0]
 
 
@@ -179,7 +179,7 @@ class MapExtractor:
         sides = view.picture.shape[:2]
         size = tuple(side // _COARSEST_STRIDE * _COARSEST_STRIDE // strides[-1] for side in sides)
         needed = None if view.is_filled else _find_covered_cells(view, size, strides[-1])
-        outputs, maps = self._pass(view, levels, needed), []
+        outputs, maps = self._run_network(view, levels, needed), []
         for stride in strides[:levels]:
             features, confidence = outputs.pop(0)  # frees the network's output once it is converted
             confidence = confidence.float()
@@ -194,7 +194,7 @@ class MapExtractor:
             maps.append(FeatureMap(features.float(), confidence, stride))
         return maps
 
-    def _pass(
+    def _run_network(
         self, view: WarpedImage, levels: int | None, needed: NDArray[np.bool_] | None
     ) -> list[tuple[Tensor, Tensor]]:
         """Run the network; see ``Network.__call__``."""

@@ -49,7 +49,7 @@ class MatchedFinder:
             )
 
     def find(self, query: Query) -> list[Candidate]:
-        """Return the other method's pose of a query; nothing if it has none that the prior allows.
+        """Return the other method's pose of a query; an empty list if there is none near the prior.
 
         A fallback is no candidate, because it is the prior or a reference image.
         """

@@ -20,7 +20,7 @@ from objconnect.scene.runtime.device import AUTO, Device
 
 
 class SearchOptions(Config):
-    """When a pose is accepted, and how far a search goes until then."""
+    """Options of acceptance and of the search for a pose."""
 
     risk: float = Field(
         0.05,
@@ -46,14 +46,14 @@ class SearchOptions(Config):
     acceptance: AcceptanceModel | None = Field(
         None,
         description="Model of the probability that a pose is right. None reads the file beside "
-        "your own weights (own.acceptance.yaml beside own.safetensors), or that of the shipped "
-        "networks if there is none. python -m experiments.acceptance fits it.",
+        "your own weights (own.acceptance.yaml beside own.safetensors), or the file of the "
+        "shipped networks if there is none. python -m experiments.acceptance fits it.",
     )
     covariance: CovarianceModel | None = Field(
         None,
         description="Calibration of the covariances of poses. None reads the file beside your own "
-        "weights (own.covariance.yaml beside own.safetensors), or that of the shipped networks if "
-        "there is none. python -m experiments.covariance fits it.",
+        "weights (own.covariance.yaml beside own.safetensors), or the file of the shipped networks "
+        "if there is none. python -m experiments.covariance fits it.",
     )
     matched_answer_inliers: int = Field(
         100,
@@ -149,8 +149,8 @@ class FeaturemetricConfig(NetworkOptions):
     precision: Precision = Field(
         "float32",
         validate_default=True,
-        description="Precision of the convolutions; auto is bfloat16 if the processor has matrix "
-        "units for it, else float32.",
+        description="Precision of the convolutions; auto is bfloat16 on processors that compute "
+        "faster in it (Intel's AMX, AMD's AVX-512 with bfloat16), else float32.",
     )
     quantized: bool = Field(
         False,
@@ -174,7 +174,7 @@ class FeaturemetricConfig(NetworkOptions):
         "``multistart``.",
     )
     search: SearchOptions = Field(
-        SearchOptions(), description="When a pose is accepted, and how far the search goes."
+        SearchOptions(), description="Acceptance of poses, and the extent of the search."
     )
     tracking: TrackingOptions | None = Field(
         TrackingOptions(),
@@ -233,7 +233,8 @@ class FeaturemetricConfig(NetworkOptions):
 class SearchingConfig(FeaturemetricConfig):
     """Options of a localizer that searches around a prior, and the whole map without one.
 
-    It aligns to more reference images, because snow may hide in one what another shows.
+    It aligns to more reference images, because snow may hide points in one image that
+    another shows.
     """
 
     references: int = with_default(FeaturemetricConfig, "references", 8)

@@ -52,7 +52,7 @@ class Preparation:
 
         Raises:
             InputError: a photograph of the map is missing, damaged or changed meanwhile.
-            PreparationError: anything else failed, which would fail for every query.
+            PreparationError: any other error, which every query would raise again.
         """
         if self._done is not None:
             return self._done

@@ -53,15 +53,17 @@ class Levelling:
         most = math.inf if most_tilt_deg is None else math.radians(most_tilt_deg)
         return Levelling(np.array([tilt(pose[:3, :3]) for pose in poses]), most)
 
-    def __call__(self, start: Pose, chosen: NDArray[np.int64]) -> NDArray[np.float64] | None:
+    def __call__(
+        self, start: Pose, reference_rows: NDArray[np.int64]
+    ) -> NDArray[np.float64] | None:
         """Return ``view_from_camera`` (3, 3) of a levelled image; None if it needs no levelling.
 
         Args:
             start: ``cam_from_world`` of the image.
-            chosen: rows of its reference images.
+            reference_rows: rows of its reference images.
         """
         rotation = start.rotation.numpy()
-        limit = float(np.median(self.tilts[chosen])) + self.most_tilt
+        limit = float(np.median(self.tilts[reference_rows])) + self.most_tilt
         return level_rotation(rotation, limit) @ rotation.T if tilt(rotation) > limit else None
 
 
@@ -88,7 +90,7 @@ class ProblemBuilder:
     def scale(
         self,
         camera: Camera,
-        chosen: NDArray[np.int64],
+        reference_rows: NDArray[np.int64],
         start: Pose,
         view_from_camera: NDArray[np.float64] | None = None,
         coarser: float | None = None,
@@ -98,14 +100,14 @@ class ProblemBuilder:
 
         Args:
             camera: camera of the image.
-            chosen: rows of its reference images.
+            reference_rows: rows of its reference images.
             start: ``cam_from_world``.
             view_from_camera: (3, 3) rotation that levels the image; None if it is not levelled.
-            coarser: wanted metres per pixel as a multiple of the photographs'; None for that of
-                the photographs, without resizing an image that nearly has it.
+            coarser: target resolution (m/px) as a multiple of the photographs'; None for the
+                photographs' resolution, and for no resizing of an image that nearly has it.
             magnification: the largest scale.
         """
-        points = np.concatenate([self.observations[int(row)].xyz for row in chosen])
+        points = np.concatenate([self.observations[int(row)].xyz for row in reference_rows])
         resolution = metres_per_pixel(start, camera, points, view_from_camera)
         largest = self.extract.largest_scale(camera, magnification)
         # The network needs a view of at least this shorter side.
@@ -117,7 +119,11 @@ class ProblemBuilder:
         return max(scale_to(wanted, resolution, largest, same), least)
 
     def view(
-        self, query: Query, chosen: NDArray[np.int64], start: Pose, levels: int | None = None
+        self,
+        query: Query,
+        reference_rows: NDArray[np.int64],
+        start: Pose,
+        levels: int | None = None,
     ) -> tuple[WarpedImage, list[FeatureMap]]:
         """Warp an image for a start and extract its features.
 
@@ -126,32 +132,32 @@ class ProblemBuilder:
 
         Args:
             query: the image.
-            chosen: rows of its reference images.
+            reference_rows: rows of its reference images.
             start: ``cam_from_world``.
             levels: number of levels to extract, from the coarsest; None for all.
 
         Returns:
             The warped image and its feature maps, of unit length.
         """
-        view = self.warp(query, chosen, start)
+        view = self.warp(query, reference_rows, start)
         return view, self.features(view, levels)
 
     def warp(
         self,
         query: Query,
-        chosen: NDArray[np.int64],
+        reference_rows: NDArray[np.int64],
         start: Pose,
         coarser: float | None = None,
     ) -> WarpedImage:
-        """Warp an image as ``view`` does; ``coarser`` is that of ``scale``."""
-        view_from_camera = self._view_from_camera(chosen, start)
-        scale = self.scale(query.camera, chosen, start, view_from_camera, coarser)
+        """Warp an image as ``view`` does; ``coarser`` is as in ``scale``."""
+        view_from_camera = self._view_from_camera(reference_rows, start)
+        scale = self.scale(query.camera, reference_rows, start, view_from_camera, coarser)
         return self._warp(query, start, scale, view_from_camera)
 
     def magnify(
         self,
         query: Query,
-        chosen: NDArray[np.int64],
+        reference_rows: NDArray[np.int64],
         start: Pose,
         view: WarpedImage,
         magnification: float,
@@ -160,7 +166,7 @@ class ProblemBuilder:
 
         Args:
             query: the image.
-            chosen: rows of its reference images.
+            reference_rows: rows of its reference images.
             start: ``cam_from_world``.
             view: the image warped without magnification.
             magnification: the largest scale.
@@ -168,18 +174,18 @@ class ProblemBuilder:
         Returns:
             The warped image; None if ``view`` nearly has the photographs' resolution.
         """
-        view_from_camera = self._view_from_camera(chosen, start)
+        view_from_camera = self._view_from_camera(reference_rows, start)
         scale = self.scale(
-            query.camera, chosen, start, view_from_camera, magnification=magnification
+            query.camera, reference_rows, start, view_from_camera, magnification=magnification
         )
         if scale < SAME_RESOLUTION * view.scale:
             return None
         return self._warp(query, start, scale, view_from_camera)
 
     def _view_from_camera(
-        self, chosen: NDArray[np.int64], start: Pose
+        self, reference_rows: NDArray[np.int64], start: Pose
     ) -> NDArray[np.float64] | None:
-        return self.levelling(start, chosen) if self.levelling else None
+        return self.levelling(start, reference_rows) if self.levelling else None
 
     def _warp(
         self, query: Query, start: Pose, scale: float, view_from_camera: NDArray[np.float64] | None
@@ -198,7 +204,7 @@ class ProblemBuilder:
         self,
         view: WarpedImage,
         maps: list[FeatureMap],
-        chosen: NDArray[np.int64],
+        reference_rows: NDArray[np.int64],
         start: Pose,
         count: int,
     ) -> Problem:
@@ -207,17 +213,17 @@ class ProblemBuilder:
         The points are chosen on the CPU; the problem is on the device of the maps. The reference
         images overlap most in the middle of the image, but the chosen points cover the image
         evenly, because only points far from the middle tell a rotation of the camera from a shift.
-        A point in several reference images counts once for each of them, as in PixLoc's code.
+        A point in several reference images is used once for each of them, as in PixLoc's code.
 
         Args:
             view: the warped image.
             maps: its feature maps.
-            chosen: rows of the reference images that give the points.
+            reference_rows: rows of the reference images that give the points.
             start: ``cam_from_world`` of the image.
             count: maximum number of points.
         """
         from_world = view.pose(start)
-        observed = [self.observations[int(row)] for row in chosen]
+        observed = [self.observations[int(row)] for row in reference_rows]
         xyz = np.concatenate([each.xyz for each in observed])
         rank = np.concatenate([np.arange(len(each.xyz)) for each in observed])
         in_camera = from_world.transform(torch.from_numpy(xyz))
@@ -229,7 +235,9 @@ class ProblemBuilder:
         order = order_by_coverage(projected.xy.numpy()[seen] / size, -rank[seen])
         kept = np.concatenate([seen[order], np.flatnonzero(~visible)])[:count]
         confidence = np.concatenate([each.confidence for each in observed])[kept]
-        seen_from = np.repeat(self.centres[chosen], [len(each.xyz) for each in observed], 0)[kept]
+        seen_from = np.repeat(
+            self.centres[reference_rows], [len(each.xyz) for each in observed], 0
+        )[kept]
         device = self.extract.device
         levels = []
         for number, level in enumerate(maps):

@@ -145,7 +145,7 @@ class ReferenceFeatures:
         """Return the observations of a photograph, given its row in ``SparseMap.names``."""
         return self._cache(photograph)
 
-    def coarse(self, photograph: int) -> NDArray[np.float32]:
+    def read_coarse(self, photograph: int) -> NDArray[np.float32]:
         """Read the features (N, C) of a photograph's coarsest level, without the cache."""
         return self._store.read(photograph, "features 0").astype(np.float32)
 
@@ -201,15 +201,15 @@ def _compute_rows(
 ) -> Rows:
     """Run the network on photographs of a map and yield the features at their points."""
     map_cache = source.map_cache
-    posed = [map_cache.sparse_map.images[name] for name in map_cache.names]
-    corner_points = [np.empty((0, 3))] * len(posed)
+    images = [map_cache.sparse_map.images[name] for name in map_cache.names]
+    corner_points = [np.empty((0, 3))] * len(images)
     if source.corners is not None:
         longest = source.extract.longest
         find = CornerFinder(map_cache.sparse_map, map_cache.images, longest, source.corners)
         corner_points = all_corners(find, map_cache, longest, source.corners.model_dump_json())
     views = MapViews(source)
-    with progress_bar(f"{source.name} map features", len(posed)) as advance:
-        for done, (image, corners) in enumerate(zip(posed, corner_points, strict=True), 1):
+    with progress_bar(f"{source.name} map features", len(images)) as advance:
+        for done, (image, corners) in enumerate(zip(images, corner_points, strict=True), 1):
             points = np.concatenate([_reliable_points(image, map_cache.sparse_map), corners])
             view_key = views.key(image)
             key = digest_of(_FORMAT, view_key, image.cam_from_world, points, source.points)
@@ -270,8 +270,8 @@ def observe(
     """Return the features of at most ``count`` points that are in view of a photograph.
 
     Features are sampled where the points project, as in PixLoc, not at the keypoints that observed
-    them. Of the points in one cell of ``order_by_coverage``, that of the highest confidence comes
-    first.
+    them. Of the points in one cell of ``order_by_coverage``, the one with the highest confidence
+    comes first.
 
     Args:
         view: the warped photograph.

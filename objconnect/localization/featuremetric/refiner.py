@@ -44,9 +44,9 @@ class Refiner:
         problems: builds alignment problems.
         retrieval: finds reference images.
         matches: finds reference images by SIFT; None if the map was not built from SIFT.
-        kept_bytes: resident memory above which the heap is trimmed before a pass of the network.
-            Trimming costs time.
-        kept_magnified_bytes: the same before a pass on a magnified image.
+        trim_above_bytes: resident memory above which the heap is trimmed before a pass of the
+            network. Trimming costs time.
+        trim_above_magnified_bytes: the same before a pass on a magnified image.
         width: numbers of hypotheses and points that a search compares.
     """
 
@@ -55,14 +55,14 @@ class Refiner:
     problems: ProblemBuilder
     retrieval: References
     matches: StructureLocalizer | None
-    kept_bytes: int
-    kept_magnified_bytes: int
+    trim_above_bytes: int
+    trim_above_magnified_bytes: int
     width: SearchWidth = SEARCH_WIDTH
 
     def __call__(
         self,
         query: Query,
-        chosen: NDArray[np.int64],
+        reference_rows: NDArray[np.int64],
         start: Pose,
         clock: Stopwatch,
         radius: SearchRadius,
@@ -71,18 +71,18 @@ class Refiner:
 
         Args:
             query: the image.
-            chosen: rows of the reference images.
+            reference_rows: rows of the reference images.
             start: ``cam_from_world``.
             clock: sums the seconds of each stage.
             radius: search radius around the start, for ``config.multistart``.
         """
-        trim_heap_above(self.kept_bytes)
+        trim_heap_above(self.trim_above_bytes)
         with clock.stage("features"):
-            view, maps = self.problems.view(query, chosen, start)
+            view, maps = self.problems.view(query, reference_rows, start)
         multistart = self.config.multistart
         count = min(self.width.compared_points, MAX_POINTS) if multistart else MAX_POINTS
         with clock.stage("points"):
-            problem = self.problems.build(view, maps, chosen, start, count)
+            problem = self.problems.build(view, maps, reference_rows, start, count)
         with clock.stage("alignment"):
             if multistart:
                 coarse = problem.select_levels(slice(_COMPARED_LEVELS))
@@ -94,7 +94,7 @@ class Refiner:
         with clock.stage("alignment"):
             return evaluate_alignment(aligned, self.config.search)
 
-    def wider(self, factor: int) -> Refiner:
+    def widen(self, factor: int) -> Refiner:
         """Return a refiner whose searches compare ``factor`` times the hypotheses and points."""
         return replace(self, width=self.width.multiply(factor))
 
@@ -103,9 +103,9 @@ class Refiner:
     ) -> Attempt:
         """Refine a start that replaces the query's prior; ``radius`` None is ``DEFAULT_RADIUS``."""
         query = replace(query, prior=exact_prior(start))
-        return self(query, self.photographs(query), start, clock, radius or DEFAULT_RADIUS)
+        return self(query, self.choose_references(query), start, clock, radius or DEFAULT_RADIUS)
 
-    def photographs(self, query: Query) -> NDArray[np.int64]:
+    def choose_references(self, query: Query) -> NDArray[np.int64]:
         """Return the rows of a query's reference images.
 
         Without a position, SIFT retrieves them if it can: the network is trained on views from
@@ -113,7 +113,7 @@ class Refiner:
         """
         most = self.config.references
         if self.matches is not None and query.references is None and not has_position(query.prior):
-            return self.matches.similar(query, most)
+            return self.matches.find_similar(query, most)
         return self.retrieval.choose(
             query, most, lambda: self.describe(query), tilt_invariant=False
         )
@@ -129,20 +129,20 @@ class Refiner:
     ) -> AlignedView:
         """Align once more, from the aligned pose and to the points in view from there.
 
-        If the start was far off, its points and reference images were others. An image coarser than
-        the map is magnified only now, because a search reaches less far in a larger picture and
-        takes longer.
+        A start that was far off had other points and reference images in view. An image coarser
+        than the map is magnified only now, because a search reaches less far in a larger picture
+        and takes longer.
         """
         view, most = aligned.view, self.config.max_magnification
         pose = photograph_pose(view, aligned.alignment)
-        chosen = self.photographs(replace(query, prior=exact_prior(pose)))
-        larger = self.problems.magnify(query, chosen, pose, view, most)
+        reference_rows = self.choose_references(replace(query, prior=exact_prior(pose)))
+        larger = self.problems.magnify(query, reference_rows, pose, view, most)
         if larger is not None:
-            trim_heap_above(self.kept_magnified_bytes)
+            trim_heap_above(self.trim_above_magnified_bytes)
             with clock.stage("features"):
                 view, maps = larger, self.problems.features(larger)
         with clock.stage("alignment"):
-            problem = self.problems.build(view, maps, chosen, pose, MAX_POINTS)
+            problem = self.problems.build(view, maps, reference_rows, pose, MAX_POINTS)
             # The coarsest level cannot improve a pose that the next finer level gave.
             skips_coarsest = larger is None and len(problem.levels) > 1
             final = align(problem.finer() if skips_coarsest else problem, with_covariance=False)

@@ -1,4 +1,4 @@
-"""Screening: a rough alignment of each candidate, to find those that are worth a full alignment.
+"""Screening: a rough alignment of each candidate, to find those worth a full alignment.
 
 A full alignment of a candidate takes five times as long as a rough one, and most candidates of a
 search are wrong. A rough alignment uses the coarsest level of an image that is coarser than the
@@ -19,8 +19,8 @@ from objconnect.localization.featuremetric.refiner import Refiner
 from objconnect.scene.localizer import Query, Stopwatch
 
 COARSER: Final = 1.5
-"""Metres per pixel of a screened image as a multiple of those of the map's photographs. Of 1, 1.5
-and 2 it ranks right candidates best (``python -m experiments.screening``)."""
+"""Metres per pixel of a screened image as a multiple of those of the map's photographs. Of the
+values 1, 1.5 and 2, 1.5 ranks right candidates best (``python -m experiments.screening``)."""
 
 
 @dataclass(frozen=True)
@@ -56,12 +56,14 @@ def rough_peak(
         refine: the refiner that would align the candidate in full.
         query: the image.
         candidate: start of the alignment.
-        coarser: metres per pixel of the image as a multiple of those of the map's photographs.
+        coarser: metres per pixel of the image as a multiple of the map photographs'.
     """
     builder, width = refine.problems, refine.width
-    chosen = refine.photographs(replace(query, prior=exact_prior(candidate.pose)))
-    view = builder.warp(query, chosen, candidate.pose, coarser)
+    reference_rows = refine.choose_references(replace(query, prior=exact_prior(candidate.pose)))
+    view = builder.warp(query, reference_rows, candidate.pose, coarser)
     maps = builder.features(view, levels=1)
-    problem = builder.build(view, maps, chosen, candidate.pose, width.coarse_points).coarsest()
+    problem = builder.build(
+        view, maps, reference_rows, candidate.pose, width.coarse_points
+    ).coarsest()
     aligned = align_from_many(problem, DEFAULT_RADIUS, width)
     return 0.0 if aligned.has_failed[0] else peak_to_sidelobe(problem, aligned.pose)

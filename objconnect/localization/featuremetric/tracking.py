@@ -44,7 +44,9 @@ class Tracking:
     search: SearchOptions
     options: TrackingOptions
 
-    def __call__(self, query: Query, chosen: NDArray[np.int64], clock: Stopwatch) -> Attempt | None:
+    def __call__(
+        self, query: Query, reference_rows: NDArray[np.int64], clock: Stopwatch
+    ) -> Attempt | None:
         """Align an image from its prior, the predicted pose.
 
         The result is None if the prediction is too uncertain to start from, or if the pose fails
@@ -52,19 +54,19 @@ class Tracking:
 
         Args:
             query: the image; its prior has a position and an attitude.
-            chosen: rows of its reference images, best first.
+            reference_rows: rows of its reference images, best first.
             clock: sums the seconds of each stage.
         """
         prior, options = query.prior, self.options
         assert prior is not None
-        start, chosen = pose_of(prior), chosen[: options.references]
+        start, reference_rows = pose_of(prior), reference_rows[: options.references]
         with clock.stage("features"):
-            view = self.problems.warp(query, chosen, start, options.coarser)
+            view = self.problems.warp(query, reference_rows, start, options.coarser)
             longer = max(query.camera.width, query.camera.height)
             view = view.crop_middle(math.ceil(options.side * longer * view.scale))
             maps = self.problems.features(view)
         with clock.stage("points"):
-            problem = self.problems.build(view, maps, chosen, start, options.points)
+            problem = self.problems.build(view, maps, reference_rows, start, options.points)
         with clock.stage("alignment"):
             first = _first_level(problem, _prior_sigma_px(problem, prior))
             if first is None:
@@ -96,7 +98,7 @@ def _align(problem: Problem, first: int) -> Alignment:
     """Align from level ``first`` to the finest; coarser levels use few points and stop early."""
     options = problem.options
     iterations = torch.zeros(1, dtype=torch.long, device=problem.points.device)
-    rough = options.rougher(_ROUGH_CONVERGENCE)
+    rough = options.loosen_convergence(_ROUGH_CONVERGENCE)
     last = len(problem.levels) - 1
     for number in range(first, last + 1):
         level = problem.select_levels(slice(number, number + 1))

@@ -129,7 +129,7 @@ def unroll_alignment(
     factors = [each() for each in damping]
     inputs = batch.points, batch.intrinsics_b, batch.start
     options = Options(iterations=_ITERATIONS, careful=False)
-    return align(Problem(levels, *inputs, factors, options, batch.valid)).by_level
+    return align(Problem(levels, *inputs, factors, options, batch.valid)).level_poses
 
 
 def median_pixel_errors(
@@ -158,7 +158,7 @@ def filters_and_damping(
         rate: learning rate of the filters.
     """
     fast = list(damping.parameters())
-    known = set(fast)
-    filters = [p for p in network.parameters() if p not in known]
+    damping_parameters = set(fast)
+    filters = [p for p in network.parameters() if p not in damping_parameters]
     slow = {"params": filters, "lr": rate}
     return [slow, {"params": fast, "lr": _DAMPING_RATE * rate, "weight_decay": 0}]

@@ -28,7 +28,7 @@ from objconnect.scene.storage.digests import digest_of
 from objconnect.scene.storage.images import read_rgb
 
 # Number of photographs whose features are extracted, and in memory, at once.
-_AT_ONCE = 64
+_BATCH_PHOTOGRAPHS = 64
 _ARRAYS = ("xy", "scale", "descriptors")
 
 
@@ -46,7 +46,8 @@ class Extractor(ABC):
         tilt_invariant: whether features are matched across tilts. If not, reference images of
             similar tilt come first where the query's attitude is known.
         headings: number of evenly spaced headings that are tried where the heading is unknown; 0
-            for those of the reference images. Only for features that are not rotation-invariant.
+            tries the headings of the reference images. Only for features that are not
+            rotation-invariant.
     """
 
     name: str
@@ -161,10 +162,10 @@ def map_features(map_cache: MapCache, extractor: Extractor) -> Mapping[str, Feat
     keys = {name: _key(map_cache, extractor, name) for name in map_cache.names}
 
     def rows(earlier: EarlierRows) -> Rows:
-        names, at_once = map_cache.names, _AT_ONCE if extractor.rotation_invariant else 1
+        names, size = map_cache.names, _BATCH_PHOTOGRAPHS if extractor.rotation_invariant else 1
         with progress_bar(f"{extractor.name} map features", len(names)) as advance:
-            for first in range(0, len(names), at_once):
-                batch = names[first : first + at_once]
+            for first in range(0, len(names), size):
+                batch = names[first : first + size]
                 features: dict[str, Arrays] = {
                     name: known
                     for name in batch

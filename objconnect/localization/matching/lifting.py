@@ -1,4 +1,4 @@
-"""3D points of keypoints in a map's photographs, from the map points that these observe."""
+"""3D points of keypoints in a map's photographs, from the photographs' observed map points."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from objconnect.scene.maps.sparse_map import MapImage
 
-# Largest distance (px) between a keypoint and an observation of the map that counts as the same.
+# Largest distance (px) at which a keypoint and an observation of the map are the same.
 _SAME_PX: Final = 1.0
 # Number of observations to which a plane is fitted around a keypoint. A plane fits any three.
 _NEIGHBOURS: Final = 6

@@ -37,7 +37,7 @@ def turn_keypoints(
     angle: float,
     scale: float = 1.0,
 ) -> Keypoints:
-    """Return the keypoints of a photograph as a matcher takes them.
+    """Return the keypoints of a photograph in the form that a matcher takes.
 
     Args:
         xy: (N, 2) COLMAP pixels of the photograph.

@@ -42,7 +42,7 @@ _SPANNING: Final = 512
 _REACH_SIGMAS: Final = 2.0
 # Lower bound of the height of a camera above the ground, metres.
 _MIN_HEIGHT_M: Final = 2.0
-# Lower bound of the cosine of the tilt when an optical axis is intersected with the ground.
+# Lower bound of the cosine of the tilt in the intersection of an optical axis with the ground.
 _MIN_TILT_COSINE: Final = 0.3
 
 
@@ -118,7 +118,7 @@ class VladIndex:
 
         Args:
             descriptors: (n, D) unit descriptors of the query, or one such array for each rotation
-                of its picture. Of several rotations, the one most similar to a photograph counts.
+                of its picture. Of several rotations, the one most similar to a photograph is used.
             k: number of photographs.
             among: rows of the photographs to choose from; None for all.
         """
@@ -196,7 +196,7 @@ class Viewpoints:
         return self._nearest.within(position[:2], metres)
 
     def most_similar(self, position: Vector, rotation: Matrix, k: int) -> Rows:
-        """Return rows of the ``k`` cameras whose view, north up, is most like that of a pose.
+        """Return rows of the ``k`` cameras whose view, north up, is most like a pose's.
 
         The distance of two views is the distance of their centres on the ground divided by the
         height above ground, plus the angle between the cameras rotated north up, in radians. It is

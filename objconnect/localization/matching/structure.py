@@ -126,13 +126,13 @@ class StructureLocalizer:
         )
         self._map = sparse_map
 
-        def lift_features(row: int) -> _Lifted:
-            return _Lifted(**store.arrays(row, _ARRAYS))
+        def lift_features(row: int) -> _LiftedKeypoints:
+            return _LiftedKeypoints(**store.arrays(row, _ARRAYS))
 
         def describe(row: int) -> NDArray[np.float32]:
             return unit(features[sparse_map.names[row]].descriptors).numpy()
 
-        self._lifted = LruCache(lift_features, free_cache_bytes(self.config.memory_mb))
+        self._lifted_keypoints = LruCache(lift_features, free_cache_bytes(self.config.memory_mb))
         self._resolution = map_resolution(sparse_map, lambda camera: 1.0)
         self._references = References.build(sparse_map, LazyDescriptors(describe, len(store)))
 
@@ -160,7 +160,7 @@ class StructureLocalizer:
                 points, xyz = rows[lifted], sparse_map.xyz[rows[lifted]]
             lifted_count += len(lifted)
             xy, descriptors = keypoints.xy[lifted], keypoints.descriptors[lifted]
-            yield "", vars(_Lifted(points, xyz, xy, descriptors))
+            yield "", vars(_LiftedKeypoints(points, xyz, xy, descriptors))
         if not lifted_count and _is_observed(sparse_map):
             raise NoKeypointOnPointError(
                 f"no keypoint of the photographs in {map_cache.images} lies at a point of the map: "
@@ -178,32 +178,32 @@ class StructureLocalizer:
         clock, extractor = Stopwatch(), self._extractor
         pictures = _Pictures(extractor, query, clock)
         if extractor.rotation_invariant:
-            _ = pictures.original  # extracted here, so that the time does not count as retrieval
+            _ = pictures.original  # extracted here, outside the stage of retrieval
         with clock.stage("retrieval"):
-            chosen = self._references.choose(
+            reference_rows = self._references.choose(
                 query,
                 self.config.references,
                 lambda: self._describe(query, pictures),
                 tilt_invariant=extractor.tilt_invariant,
             )
-        if not len(chosen):
+        if not len(reference_rows):
             return Estimate(Status.FAILED, seconds=clock.seconds, reason=NO_REFERENCE)
         if extractor.rotation_invariant:
-            return self._solve(query, pictures.original, chosen, clock)
+            return self._solve(query, pictures.original, reference_rows, clock)
         estimates: list[Estimate] = []
-        poses = starts(query.prior, self._map, chosen, headings=extractor.headings)
+        poses = starts(query.prior, self._map, reference_rows, headings=extractor.headings)
         with progress_within("starts matched", len(poses)) as advance:
             for start in poses:
                 angle = north_angle(start.rotation.numpy())
-                picture = pictures.rotate(angle, self._scale(query, chosen, start))
-                estimates.append(self._solve(query, picture, chosen, clock))
+                picture = pictures.rotate(angle, self._scale(query, reference_rows, start))
+                estimates.append(self._solve(query, picture, reference_rows, clock))
                 advance(len(estimates))
         return max(estimates, key=lambda estimate: estimate.inliers)
 
-    def similar(self, query: Query, count: int) -> NDArray[np.int64]:
+    def find_similar(self, query: Query, count: int) -> NDArray[np.int64]:
         """Return rows of the ``count`` photographs most similar to a query, best first."""
-        described = self._extractor.unit(self._extractor(query.image).descriptors).numpy()
-        return self._references.index.rank(described, count)
+        descriptors = self._extractor.unit(self._extractor(query.image).descriptors).numpy()
+        return self._references.index.rank(descriptors, count)
 
     def _describe(self, query: Query, pictures: _Pictures) -> list[NDArray[np.float32]]:
         """Return unit descriptors (n, D) of the query for retrieval, an array per heading tried."""
@@ -216,18 +216,18 @@ class StructureLocalizer:
         rotated = (pictures.rotate(angle, 1.0) for angle in angles)
         return [unit(picture.features.descriptors).numpy() for picture in rotated]
 
-    def _scale(self, query: Query, chosen: NDArray[np.int64], start: Pose) -> float:
+    def _scale(self, query: Query, reference_rows: NDArray[np.int64], start: Pose) -> float:
         """Return the scale that gives the query the map's resolution if a start is right."""
-        xyz = np.concatenate([self._lifted(int(row)).xyz for row in chosen])
+        xyz = np.concatenate([self._lifted_keypoints(int(row)).xyz for row in reference_rows])
         resolution = metres_per_pixel(start, query.camera, xyz)
         return scale_to(self._resolution, resolution, self.config.max_magnification)
 
     def _solve(
-        self, query: Query, picture: _Picture, chosen: NDArray[np.int64], clock: Stopwatch
+        self, query: Query, picture: _Picture, reference_rows: NDArray[np.int64], clock: Stopwatch
     ) -> Estimate:
         """Match features to the chosen photographs and estimate the pose."""
         with clock.stage("matching"):
-            keypoints, xyz = self._correspondences(picture.keypoints(query.camera), chosen)
+            keypoints, xyz = self._correspondences(picture.keypoints(query.camera), reference_rows)
         xy = picture.features.xy[keypoints].astype(np.float64)
         return solve_pose(query, xy, xyz, self.config, clock)
 
@@ -239,7 +239,7 @@ class StructureLocalizer:
         Returns:
             Unique pairs: rows of the query's keypoints (K,) and their points (K, 3), world metres.
         """
-        all_lifted = [self._lifted(int(reference)) for reference in references]
+        all_lifted = [self._lifted_keypoints(int(reference)) for reference in references]
         images = [self._map.images[self._map.names[int(reference)]] for reference in references]
         rotates = not self._extractor.rotation_invariant
         reference_keypoints = [
@@ -275,7 +275,7 @@ class _Picture:
     scale: float = 1.0
 
     def keypoints(self, camera: Camera) -> Keypoints:
-        """Return the keypoints in the rotated picture, as a matcher takes them."""
+        """Return the keypoints in the rotated picture, in the form that a matcher takes."""
         features = self.features
         return turn_keypoints(features.xy, features.descriptors, camera, self.angle, self.scale)
 
@@ -285,7 +285,7 @@ class _Pictures:
 
     def __init__(self, extractor: Extractor, query: Query, clock: Stopwatch) -> None:
         self._extractor, self._query, self._clock = extractor, query, clock
-        self._known: dict[tuple[float, float], _Picture] = {}
+        self._pictures: dict[tuple[float, float], _Picture] = {}
 
     @cached_property
     def original(self) -> _Picture:
@@ -296,16 +296,16 @@ class _Pictures:
     def rotate(self, angle: float, scale: float) -> _Picture:
         """Return features of the picture rotated counter-clockwise by ``angle`` (rad), resized."""
         key = round(angle, 4), round(scale, 4)
-        if key not in self._known:
+        if key not in self._pictures:
             with self._clock.stage("features"):
                 query = self._query
                 features = self._extractor.extract_warped(query.image, query.camera, angle, scale)
-            self._known[key] = _Picture(features, angle, scale)
-        return self._known[key]
+            self._pictures[key] = _Picture(features, angle, scale)
+        return self._pictures[key]
 
 
 @dataclass(frozen=True)
-class _Lifted:
+class _LiftedKeypoints:
     """The N keypoints of a photograph of the map that have a 3D point.
 
     Attributes:

@@ -28,7 +28,7 @@ class EarthAccuracy:
 
 
 def combine_accuracies(
-    within_map: NDArray[np.float64] | None, georeference: Georeference | None
+    pose_covariance: NDArray[np.float64] | None, georeference: Georeference | None
 ) -> EarthAccuracy:
     """Return the accuracy of a position on earth.
 
@@ -36,12 +36,13 @@ def combine_accuracies(
     variances add up.
 
     Args:
-        within_map: covariance (6, 6) of a pose, ``Estimate.world_covariance``; None if unknown.
+        pose_covariance: covariance (6, 6) of a pose in the map, ``Estimate.world_covariance``; None
+            if unknown.
         georeference: accuracy of the map's position on earth; None if unknown.
     """
-    if within_map is None or georeference is None:
+    if pose_covariance is None or georeference is None:
         return EarthAccuracy()
-    total = within_map[:3, :3] + np.diag(
+    total = pose_covariance[:3, :3] + np.diag(
         [georeference.axis_m**2, georeference.axis_m**2, (georeference.vertical_m or 0.0) ** 2]
     )
     eph = math.sqrt(total[0, 0] + total[1, 1])

@@ -85,14 +85,14 @@ class Geography:
 
 
 @dataclass(frozen=True)
-class Located:
+class ImageEstimate:
     """A photograph with its estimate.
 
     Attributes:
         name: name of the photograph.
         estimate: the estimate.
         place: position of the camera on earth; None if unknown.
-        time: when the photograph was taken; None if unknown.
+        time: time at which the photograph was taken; None if unknown.
         camera: camera of the photograph; None if the photograph cannot be read.
         source: source of the camera; None without a camera.
         seconds: time from the start of its sequence; None without a sequence.
@@ -119,7 +119,7 @@ class Located:
 
     @property
     def is_localized(self) -> bool:
-        """Return whether the photograph was localized; a fallback pose does not count."""
+        """Return whether the photograph was localized, which a fallback pose does not mean."""
         return self.estimate.status is Status.OK and self.estimate.cam_from_world is not None
 
     @property
@@ -207,8 +207,8 @@ def output_files(poses: Path, also: Sequence[Path]) -> list[OutputFile]:
         also: further files, whose endings select the formats; see ``FURTHER_FORMATS``.
 
     Raises:
-        InputError: ``poses`` ends in .csv, an ending is unknown, or the package that a format needs
-            is not installed.
+        InputError: ``poses`` is a folder or ends in .csv, an ending is unknown, or the package that
+            a format needs is not installed.
     """
     if not poses.name:
         raise InputError(f"{poses} is a folder: give a file whose name ends in .txt")
@@ -229,35 +229,35 @@ def output_files(poses: Path, also: Sequence[Path]) -> list[OutputFile]:
 
 
 def encode_files(
-    located: Sequence[Located], files: Sequence[OutputFile], geography: Geography
+    estimates: Sequence[ImageEstimate], files: Sequence[OutputFile], geography: Geography
 ) -> Iterator[tuple[Path, bytes]]:
     """Yield the paths that ``output_files`` returned, with the bytes to write there."""
     poses, table, *also = (file.path for file in files)
-    yield poses, _pose_lines(located).encode()
-    yield table, _table(located, geography).encode()
+    yield poses, _pose_lines(estimates).encode()
+    yield table, _table(estimates, geography).encode()
     for path in also:
-        yield path, FURTHER_FORMATS[path.suffix.lower()](located, geography)
+        yield path, FURTHER_FORMATS[path.suffix.lower()](estimates, geography)
 
 
-def _pose_lines(located: Sequence[Located]) -> str:
+def _pose_lines(estimates: Sequence[ImageEstimate]) -> str:
     lines = [_HEADER]
-    for item in located:
+    for item in estimates:
         pose = item.estimate.cam_from_world
         if item.is_localized and pose is not None:
             lines.append(pose_line(item.name, pose, 9))
     return "\n".join(lines) + "\n"
 
 
-def _table(located: Sequence[Located], geography: Geography) -> str:
+def _table(estimates: Sequence[ImageEstimate], geography: Geography) -> str:
     text = io.StringIO()
     columns = _COLUMNS if geography.projection is None else (*_COLUMNS, *_CRS_COLUMNS)
     writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
-    writer.writerows(_row(item, geography) for item in located)
+    writer.writerows(_row(item, geography) for item in estimates)
     return text.getvalue()
 
 
-def _row(item: Located, geography: Geography) -> Mapping[str, Any]:
+def _row(item: ImageEstimate, geography: Geography) -> Mapping[str, Any]:
     """Return the table's row of a photograph; columns of unknown values are left out."""
     estimate = item.estimate
     row = {"name": quote_cell(item.name), "status": estimate.status.value}
@@ -278,13 +278,13 @@ def _row(item: Located, geography: Geography) -> Mapping[str, Any]:
     return row
 
 
-def _geojson(located: Sequence[Located], geography: Geography) -> bytes:
+def _geojson(estimates: Sequence[ImageEstimate], geography: Geography) -> bytes:
     """Return GeoJSON (RFC 7946): a feature for each photograph, without geometry if not localized.
 
     Altitudes are above the ellipsoid, as the standard requires.
     """
     features = []
-    for item in located:
+    for item in estimates:
         place = item.place if item.is_localized else None
         values: dict[str, Any] = {"name": for_terminal(item.name)}
         values["status"] = item.estimate.status.value
@@ -301,7 +301,7 @@ def _geojson(located: Sequence[Located], geography: Geography) -> bytes:
     return (json.dumps(collection, indent=1, allow_nan=False) + "\n").encode()
 
 
-def _kml(located: Sequence[Located], geography: Geography) -> bytes:
+def _kml(estimates: Sequence[ImageEstimate], geography: Geography) -> bytes:
     """Return KML 2.2: a placemark for each localized photograph, and the path through them.
 
     Altitudes are above sea level. If the geoid is unknown, placemarks are clamped to the ground.
@@ -311,7 +311,7 @@ def _kml(located: Sequence[Located], geography: Geography) -> bytes:
     ElementTree.SubElement(document, "name").text = _MARK
     undulation_m = geography.undulation_m
     mode = "clampToGround" if undulation_m is None else "absolute"
-    found = [item for item in located if item.is_localized and item.place is not None]
+    found = [item for item in estimates if item.is_localized and item.place is not None]
     for item in found:
         mark = ElementTree.SubElement(document, "Placemark")
         ElementTree.SubElement(mark, "name").text = for_terminal(item.name)
@@ -336,30 +336,30 @@ def _stamp(time: datetime) -> str:
 def _geometry(
     mark: ElementTree.Element,
     kind: str,
-    located: Sequence[Located],
+    estimates: Sequence[ImageEstimate],
     mode: str,
     undulation_m: float | None,
 ) -> None:
     geometry = ElementTree.SubElement(mark, kind)
     ElementTree.SubElement(geometry, "altitudeMode").text = mode
-    places = [item.place for item in located if item.place is not None]
+    places = [item.place for item in estimates if item.place is not None]
     ElementTree.SubElement(geometry, "coordinates").text = " ".join(
         f"{place.longitude:.8f},{place.latitude:.8f},{place.altitude - (undulation_m or 0.0):.3f}"
         for place in places
     )
 
 
-def _tlog(located: Sequence[Located], geography: Geography) -> bytes:
-    return encode_telemetry_log(_sort_by_time(located, geography), geography.undulation_m, _MARK)
+def _tlog(estimates: Sequence[ImageEstimate], geography: Geography) -> bytes:
+    return encode_telemetry_log(_sort_by_time(estimates, geography), geography.undulation_m, _MARK)
 
 
-def _mcap(located: Sequence[Located], geography: Geography) -> bytes:
-    return encode_bag(_sort_by_time(located, geography), _MARK)
+def _mcap(estimates: Sequence[ImageEstimate], geography: Geography) -> bytes:
+    return encode_bag(_sort_by_time(estimates, geography), _MARK)
 
 
-def _sort_by_time(located: Sequence[Located], geography: Geography) -> list[StampedPose]:
+def _sort_by_time(estimates: Sequence[ImageEstimate], geography: Geography) -> list[StampedPose]:
     """Return the poses of the localized photographs that have a time, sorted by time."""
-    found = [item for item in located if item.is_localized]
+    found = [item for item in estimates if item.is_localized]
     poses = [stamped for item in found if (stamped := item.to_stamped(geography)) is not None]
     if len(poses) < len(found):
         log.warning(
@@ -370,7 +370,7 @@ def _sort_by_time(located: Sequence[Located], geography: Geography) -> list[Stam
     return sorted(poses, key=lambda stamped: stamped.microseconds)
 
 
-FURTHER_FORMATS: Final[Mapping[str, Callable[[Sequence[Located], Geography], bytes]]] = {
+FURTHER_FORMATS: Final[Mapping[str, Callable[[Sequence[ImageEstimate], Geography], bytes]]] = {
     ".geojson": _geojson,
     ".kml": _kml,
     ".tlog": _tlog,

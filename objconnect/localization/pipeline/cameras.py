@@ -112,16 +112,16 @@ def _candidates(
         (camera for camera in cameras if _same_aspect((camera.width, camera.height), size)), key=str
     )
     candidates: list[Camera] = []
-    for focal in sorted(focals, key=lambda each: not _nearest(each, same_aspect)):
-        camera = _nearest(focal, same_aspect)
+    for focal in sorted(focals, key=lambda each: not _find_nearest(each, same_aspect)):
+        camera = _find_nearest(focal, same_aspect)
         candidates += [] if camera is None else [_fit_to_size(camera, size)]
         candidates.append(_pinhole(size, focal))
     candidates = list(dict.fromkeys(candidates))
     return Calibration(candidates[0], CameraSource.ESTIMATED, tuple(candidates[1:]))
 
 
-def _nearest(focal: float, cameras: Sequence[Camera]) -> Camera | None:
-    """Return the camera whose relative focal length is nearest; None if all are other lenses."""
+def _find_nearest(focal: float, cameras: Sequence[Camera]) -> Camera | None:
+    """Return the camera whose relative focal length is nearest; None if none is of that lens."""
     difference = {camera: _relative_difference(camera, focal) for camera in cameras}
     best = min(difference, key=lambda camera: difference[camera], default=None)
     return best if best is not None and difference[best] < SAME_LENS else None
@@ -140,7 +140,7 @@ def estimate_camera(
 
     The misfit of a photograph is the logarithm of the standard deviation of its rotation about the
     optical axis, weighted by the number of inliers. This standard deviation grows with the
-    residuals of the inliers but not with the focal length, as that of the position does. The
+    residuals of the inliers but, unlike the one of the position, not with the focal length. The
     misfits of photographs are added like log-likelihoods. Between neighbouring pinholes, a parabola
     through the misfits interpolates the focal length.
 
@@ -233,20 +233,21 @@ def _fit_to_size(camera: Camera, size: tuple[int, int]) -> Camera:
 
 
 def _change(
-    camera: Camera, size: tuple[int, int], focal: float, centre: float, lower: float
+    camera: Camera, size: tuple[int, int], focal_scale: float, centre_scale: float, shift_y: float
 ) -> Camera:
     """Return a camera of another size.
 
     Args:
         camera: the camera.
         size: width and height of the result, pixels.
-        focal: factor on the focal length.
-        centre: factor on the principal point.
-        lower: pixels by which the principal point is then moved down.
+        focal_scale: factor on the focal length.
+        centre_scale: factor on the principal point.
+        shift_y: pixels by which the principal point is then moved down.
     """
-    scales = {"f": focal, "fx": focal, "fy": focal, "cx": centre, "cy": centre}
+    scales = dict.fromkeys(("f", "fx", "fy"), focal_scale)
+    scales |= {"cx": centre_scale, "cy": centre_scale}
     params = tuple(
-        value * scales.get(name, 1.0) + (lower if name == "cy" else 0.0)
+        value * scales.get(name, 1.0) + (shift_y if name == "cy" else 0.0)
         for name, value in zip(MODELS[camera.model], camera.params, strict=True)
     )
     return Camera(camera.model, *size, params)

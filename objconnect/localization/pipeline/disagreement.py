@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from objconnect.localization.pipeline.answers import Geography, Located
+from objconnect.localization.pipeline.answers import Geography, ImageEstimate
 
 log = logging.getLogger(__name__)
 
@@ -30,66 +30,76 @@ class Disagreement(NamedTuple):
 
     Attributes:
         photographs: number of photographs that have both positions.
-        across_m: median horizontal distance, metres.
-        up_m: median height of the estimates above the measurements, metres; None if no height
+        horizontal_m: median horizontal distance, metres.
+        height_m: median height of the estimates above the measurements, metres; None if no height
             was measured.
-        height_error_m: median absolute difference of the heights, metres; None if ``up_m`` is.
-        far_across: whether the horizontal distances are far larger than their sigmas.
-        far_up: whether the height differences are far larger than their sigmas.
-        far_within: whether the map's accuracy on earth is unknown, and the horizontal distances are
-            larger than a receiver's errors and far larger than the sigmas within the map.
+        height_error_m: median absolute difference of the heights, metres; None if ``height_m`` is.
+        is_far_horizontally: whether the horizontal distances are far larger than their sigmas.
+        is_far_vertically: whether the height differences are far larger than their sigmas.
+        is_far_in_map: whether the map's accuracy on earth is unknown, and the horizontal distances
+            are larger than a receiver's errors and far larger than the sigmas within the map.
     """
 
     photographs: int
-    across_m: float
-    up_m: float | None
+    horizontal_m: float
+    height_m: float | None
     height_error_m: float | None
-    far_across: bool
-    far_up: bool
-    far_within: bool
+    is_far_horizontally: bool
+    is_far_vertically: bool
+    is_far_in_map: bool
 
 
 class _Distances(NamedTuple):
     """Distances of one photograph's estimate from its measured position.
 
     Attributes:
-        across_m: horizontal distance, metres.
-        across_sigmas: the same in standard deviations of the difference, one axis.
-        within_sigmas: the same in standard deviations of the estimate within the map, one axis.
-        up_m: height of the estimate above the measurement, metres; NaN if unknown.
-        up_sigmas: absolute height difference in standard deviations; NaN if unknown.
+        horizontal_m: horizontal distance, metres.
+        horizontal_sigmas: the same in standard deviations of the difference, one axis.
+        map_sigmas: the same in standard deviations of the estimate within the map, one axis.
+        height_m: height of the estimate above the measurement, metres; NaN if unknown.
+        height_sigmas: absolute height difference in standard deviations; NaN if unknown.
     """
 
-    across_m: float
-    across_sigmas: float
-    within_sigmas: float
-    up_m: float
-    up_sigmas: float
+    horizontal_m: float
+    horizontal_sigmas: float
+    map_sigmas: float
+    height_m: float
+    height_sigmas: float
 
 
-def measure_disagreement(located: Sequence[Located], geography: Geography) -> Disagreement | None:
+def measure_disagreement(
+    estimates: Sequence[ImageEstimate], geography: Geography
+) -> Disagreement | None:
     """Compare estimated with measured positions; None if fewer than five photographs have both.
 
     Distances are divided by the standard deviation of the difference between estimate and
-    measurement. The estimate's standard deviation includes that of the map on earth if it is known.
-    ``far_within`` compares with the estimate's standard deviation within the map alone.
+    measurement. The estimate's standard deviation includes the map's on earth if it is known.
+    ``is_far_in_map`` compares with the estimate's standard deviation within the map alone.
     """
-    compared = np.array(list(_compare(located, geography))).reshape(-1, 5)
+    compared = np.array(list(_compare(estimates, geography))).reshape(-1, 5)
     if len(compared) < _MIN_PHOTOGRAPHS:
         return None
-    across, across_sigmas, within_sigmas = np.median(compared[:, :3], axis=0).tolist()
+    across, horizontal_sigmas, map_sigmas = np.median(compared[:, :3], axis=0).tolist()
     heights = compared[np.isfinite(compared[:, 3])]
-    up, height_error, far_up = None, None, False
+    up, height_error, is_far_vertically = None, None, False
     if len(heights) >= _MIN_PHOTOGRAPHS:
         up, height_error = float(np.median(heights[:, 3])), float(np.median(abs(heights[:, 3])))
-        far_up = bool(np.median(heights[:, 4]) > _FAR_SIGMAS)
+        is_far_vertically = bool(np.median(heights[:, 4]) > _FAR_SIGMAS)
     is_unexplained = geography.georeference is None and across > _RECEIVER_M
-    far_within = is_unexplained and within_sigmas > _FAR_SIGMAS
-    far_across = across_sigmas > _FAR_SIGMAS
-    return Disagreement(len(compared), across, up, height_error, far_across, far_up, far_within)
+    is_far_in_map = is_unexplained and map_sigmas > _FAR_SIGMAS
+    is_far_horizontally = horizontal_sigmas > _FAR_SIGMAS
+    return Disagreement(
+        len(compared),
+        across,
+        up,
+        height_error,
+        is_far_horizontally,
+        is_far_vertically,
+        is_far_in_map,
+    )
 
 
-def warn_of_disagreement(located: Sequence[Located], geography: Geography) -> None:
+def warn_of_disagreement(estimates: Sequence[ImageEstimate], geography: Geography) -> None:
     """Warn in one line if estimates are much farther from measured positions than their sigmas.
 
     If median distances exceed 3 sigmas of estimate and measurement, the line says that the map's
@@ -97,43 +107,49 @@ def warn_of_disagreement(located: Sequence[Located], geography: Geography) -> No
     earth is unknown and the horizontal distance exceeds 8 m and 3 sigmas within the map. It states
     the distance and blames neither, because the sigmas do not include the error of the map.
     """
-    errors = measure_disagreement(located, geography)
+    errors = measure_disagreement(estimates, geography)
     if errors is None:
         return
-    if not (errors.far_across or errors.far_up):
-        if errors.far_within:
+    if not (errors.is_far_horizontally or errors.is_far_vertically):
+        if errors.is_far_in_map:
             log.warning(
                 "the answers lie %.1f m beside the GPS positions of the photographs (median of "
                 "%d): sigma_m is relative to the map, whose georeference has unknown accuracy",
-                errors.across_m,
+                errors.horizontal_m,
                 errors.photographs,
             )
         return
-    parts = [f"{errors.across_m:.1f} m beside"] if errors.far_across else []
-    if errors.far_up and errors.up_m is not None and errors.height_error_m is not None:
+    parts = [f"{errors.horizontal_m:.1f} m beside"] if errors.is_far_horizontally else []
+    if (
+        errors.is_far_vertically
+        and errors.height_m is not None
+        and errors.height_error_m is not None
+    ):
         # Differences of both signs have a median near 0, so the median absolute difference is
         # shown.
-        has_both_signs = abs(errors.up_m) < errors.height_error_m / 2
-        where = "above or below" if has_both_signs else "above" if errors.up_m > 0 else "below"
+        has_both_signs = abs(errors.height_m) < errors.height_error_m / 2
+        where = "above or below" if has_both_signs else "above" if errors.height_m > 0 else "below"
         parts.append(f"{errors.height_error_m:.1f} m {where}")
     log.warning(
         "the answers lie %s the GPS positions of the photographs (median of %d), far more than "
         "the sigmas of both: the map's georeference or the GPS is wrong%s",
         " and ".join(parts),
         errors.photographs,
-        ", or its altitudes are above another surface (sea or ellipsoid)" if errors.far_up else "",
+        ", or its altitudes are above another surface (sea or ellipsoid)"
+        if errors.is_far_vertically
+        else "",
     )
 
 
-def _compare(located: Sequence[Located], geography: Geography) -> Iterator[_Distances]:
+def _compare(estimates: Sequence[ImageEstimate], geography: Geography) -> Iterator[_Distances]:
     """Yield distances in metres and in standard deviations; NaN for unknown heights."""
-    for item in located:
+    for item in estimates:
         gps, centre = item.gps, item.centre
         if not item.is_localized or centre is None or gps is None or gps.position_sigma is None:
             continue
         if not gps.has_position or not np.isfinite(gps.position[:2]).all():
             continue
-        # If the estimate has no sigmas, the distance is compared with those of GPS alone. Within
+        # If the estimate has no sigmas, the distance is compared with the GPS sigmas alone. Within
         # the map there is then nothing to compare with, and an infinite sigma prevents a warning.
         accuracy, within = item.accuracy(geography), item.sigmas or (0.0, 0.0)
         within_sigma = item.sigmas[0] / math.sqrt(2) if item.sigmas else math.inf

@@ -45,7 +45,7 @@ def localize_safely(localizer: Localizer, query: Query) -> Estimate:
     return estimate
 
 
-def localize_retrying(localizer: Localizer, query: Query) -> Estimate:
+def localize_with_retry(localizer: Localizer, query: Query) -> Estimate:
     """Localize a query; if that fails, retry without the prior's attitude.
 
     The attitude may be wrong, for example if the image was rotated after capture. Arguments and

@@ -30,9 +30,9 @@ _SIDECARS: Final = (".SRT", ".srt", ".Srt")
 _FILM_MM: Final = 36.0
 # Frame rates, numbers of frames and durations agree if they differ relatively by less than this.
 _SAME_RATE: Final = 0.05
-# Largest deviation from 1 of the aspect ratio of pixels that count as square.
+# Largest deviation from 1 of the aspect ratio of square pixels.
 _SQUARE: Final = 0.005
-# Least relative change of the focal length that counts as zoom.
+# Least relative change of the focal length that is a zoom.
 _MIN_ZOOM_CHANGE: Final = 0.005
 
 
@@ -158,9 +158,9 @@ def cameras_of_frames(
 ) -> FrameCameras:
     """Return the cameras of a video's frames.
 
-    If the user gives no camera, it is the map's camera of the frames' size and focal length. If
-    there is none, it is the map's camera of the same lens and another size, scaled, or else a
-    pinhole with the telemetry's focal length. Zoom in the telemetry multiplies the focal length.
+    If the user gives no camera, the map's camera of the frames' size and focal length is used. If
+    there is none, the map's camera of the same lens and another size is scaled, or else the camera
+    is a pinhole with the telemetry's focal length. Zoom in the telemetry multiplies that length.
 
     Raises:
         InputError: the given camera has another size, or the focal length is unknown.
@@ -278,9 +278,9 @@ class Timing:
     def of(telemetry: Sequence[Telemetry], video: Video) -> Timing:
         """Compare the times and frame numbers of the subtitles with those of the video.
 
-        If frame numbers and times of the subtitles imply another frame rate than the video's, frame
-        numbers are used if the last one is that of the video's end, else times if the last one is
-        the video's end. If neither is, the subtitles are ignored with a warning.
+        If frame numbers and times of the subtitles imply the video's frame rate, times are used.
+        Otherwise frame numbers are used if the last number fits the end of the video, or times if
+        the last time fits it. If neither fits, the subtitles are ignored with a warning.
         """
         numbered = [(item.frame, item.start_s) for item in telemetry if item.frame is not None]
         ascending = all(first[0] < second[0] for first, second in pairwise(numbered))

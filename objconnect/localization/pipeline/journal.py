@@ -45,8 +45,8 @@ class Journal(Generic[Entry]):
 
     Attributes:
         done: finished queries by name.
-        dropped: if the queries of an earlier run with another key are discarded, its parts; None
-            without such a run, or if the parts are unknown.
+        dropped: parts of the key of an earlier run whose queries were discarded because its key
+            differs; None without such a run, or if its parts are unknown.
     """
 
     def __init__(

@@ -102,8 +102,8 @@ def geography_of(localization_map: LocalizationMap, options: LocalizeOptions) ->
     """Return the coordinates to write in addition to WGS84, and the accuracy of the map on earth.
 
     Raises:
-        InputError: the map has no position on earth and an output needs one, or it lies outside the
-            coordinate reference system.
+        InputError: the map has no position on earth and an output needs one, or the map lies
+            outside the coordinate reference system.
     """
     undulation_m, projection = options.undulation_m, options.projection
     geographic_outputs = [*options.also, *([] if projection is None else [projection.name])]

@@ -12,10 +12,15 @@ from typing import Final
 import numpy as np
 from pydantic import Field
 
-from objconnect.localization.pipeline.answers import Geography, Located, encode_files, output_files
+from objconnect.localization.pipeline.answers import (
+    Geography,
+    ImageEstimate,
+    encode_files,
+    output_files,
+)
 from objconnect.localization.pipeline.cameras import CameraSource, add_focal_error
 from objconnect.localization.pipeline.disagreement import warn_of_disagreement
-from objconnect.localization.pipeline.failures import localize_retrying, localize_safely
+from objconnect.localization.pipeline.failures import localize_safely, localize_with_retry
 from objconnect.localization.pipeline.frames import VideoFrames
 from objconnect.localization.pipeline.journal import Journal, journal_path
 from objconnect.localization.pipeline.localization_map import LocalizationMap, geography_of
@@ -49,15 +54,15 @@ def localize(
     localizer: Localizer,
     out: Path,
     options: LocalizeOptions = _DEFAULTS,
-) -> list[Located]:
+) -> list[ImageEstimate]:
     """Localize every photograph of a folder and write the poses as a text file and a CSV file.
 
     The text file has a line ``name qw qx qy qz tx ty tz`` (world to camera, metres) for each
     localized photograph. The CSV file beside it has a row for each photograph: status, camera
     centre in the map's frame, latitude, longitude, altitude, sigma and the reason of a failure,
-    then time, attitude, camera and covariance (``Located.values``, ``Located.covariance``). A
-    photograph that cannot be read has a row with status ``failed`` and the reason. A hidden journal
-    stores finished photographs, so that an interrupted run resumes where it stopped.
+    then time, attitude, camera and covariance (``ImageEstimate``). A photograph that cannot be read
+    has a row with status ``failed`` and the reason. A hidden journal stores finished photographs,
+    so that an interrupted run resumes where it stopped.
 
     With ``options.sequence``, the motion of the camera gives the prior of the next photograph
     (``Tracker``), the table has the time of each photograph in seconds, and a JSON file beside the
@@ -93,8 +98,8 @@ def localize_video(
     localizer: Localizer,
     out: Path,
     options: LocalizeOptions = _DEFAULTS,
-) -> list[Located]:
-    """Localize frames of a video as a sequence; the files are those of ``localize``.
+) -> list[ImageEstimate]:
+    """Localize frames of a video as a sequence, and write the files of ``localize``.
 
     Args:
         localization_map: map to localize in.
@@ -166,10 +171,10 @@ class _Job:
         if folder is not None:
             check_outside(files, folder)
 
-    def run(self, source: Source, geography: Geography) -> list[Located]:
+    def run(self, source: Source, geography: Geography) -> list[ImageEstimate]:
         """Localize the images whose answers are not in the journal, and write all answers."""
         localization_map, localizer = self.localization_map, self.localizer
-        located: list[Located] = []
+        estimates: list[ImageEstimate] = []
         with (
             Journal(journal_path(self.out), self._key(), Answer) as journal,
             # A scratch cache lies beside the output, because that disk is expected to have room.
@@ -186,12 +191,12 @@ class _Job:
             images = source.images(image_localizer.localize)
             with progress_bar(f"localize with {localizer.name}", source.count) as advance:
                 for image in images:
-                    located.append(self._to_answer(image, image_localizer(image)))
-                    advance(min(len(located), source.count))
-            self._write(source, located, geography)
+                    estimates.append(self._to_answer(image, image_localizer(image)))
+                    advance(min(len(estimates), source.count))
+            self._write(source, estimates, geography)
         source.warn()
-        warn_of_disagreement(located, geography)
-        return located
+        warn_of_disagreement(estimates, geography)
+        return estimates
 
     def _key(self) -> str:
         """Return a digest of all inputs of the answers except the images to localize."""
@@ -200,14 +205,14 @@ class _Job:
         )
         return digest_of(key, "" if self.sequence is None else self.sequence.model_dump_json())
 
-    def _to_answer(self, image: QueryImage, estimate: Estimate) -> Located:
+    def _to_answer(self, image: QueryImage, estimate: Estimate) -> ImageEstimate:
         """Combine an estimate with the metadata of its image."""
         camera = None if image.query is None else image.query.camera
         source = None if image.calibration is None else image.calibration.source
         if camera is not None and source is CameraSource.ESTIMATED:
             points = self.localization_map.sparse_map.xyz
             estimate = add_focal_error(estimate, camera, self.localization_map.cameras, points)
-        return Located(
+        return ImageEstimate(
             image.name,
             estimate,
             self.localization_map.locate_on_earth(estimate),
@@ -222,12 +227,12 @@ class _Job:
     def _write(
         self,
         source: Source,
-        located: Sequence[Located],
+        estimates: Sequence[ImageEstimate],
         geography: Geography,
     ) -> None:
         """Write the answers and, for a sequence, the record of method and options."""
         files = output_files(self.out, self.options.also)
-        for file, content in encode_files(located, files, geography):
+        for file, content in encode_files(estimates, files, geography):
             with atomic_write(file) as partial_file:
                 partial_file.write_bytes(content)
         if self.sequence is None:
@@ -235,8 +240,8 @@ class _Job:
         values = {
             "generator": _RECORD,
             **source.record,
-            "images": len(located),
-            "found": sum(item.is_localized for item in located),
+            "images": len(estimates),
+            "found": sum(item.is_localized for item in estimates),
             "method": Method.of(self.localizer).model_dump(mode="json"),
             "sequence": self.sequence.model_dump(mode="json"),
         }
@@ -249,8 +254,8 @@ class _ImageLocalizer:
     Args:
         job: the call of ``localize``.
         journal: answers of an interrupted run and of this run.
-        prepare: prepares the method when it is called first. That happens after the first image was
-            read, so that unreadable input is rejected before the method takes time.
+        prepare: prepares the method at the first call, which follows the reading of the first
+            image, so that unreadable input is rejected before the preparation.
     """
 
     def __init__(self, job: _Job, journal: Journal[Answer], prepare: Callable[[], None]) -> None:
@@ -266,7 +271,7 @@ class _ImageLocalizer:
         """
         self._prepare()
         has_gimbal_attitude = self._job.options.priors is None
-        localize_once = localize_retrying if has_gimbal_attitude else localize_safely
+        localize_once = localize_with_retry if has_gimbal_attitude else localize_safely
         return localize_once(self._job.localizer, query)
 
     def __call__(self, image: QueryImage) -> Estimate:

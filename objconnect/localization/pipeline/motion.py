@@ -46,7 +46,7 @@ class MotionOptions(Config):
         0.1,
         gt=0,
         description="Standard deviation per axis of errors that the covariance of a pose does not "
-        "include, such as those of the map, m. Its square is added to the variances of the "
+        "include, such as errors of the map, m. Its square is added to the variances of the "
         "position.",
     )
     least_sigma_deg: float = Field(
@@ -86,10 +86,13 @@ class Motion:
             covariance: (6, 6) of centre (metres) and attitude (rad), about east, north and up.
             options: initial uncertainty of the velocities.
         """
-        measured = _add_variances(covariance, options)
+        measured_covariance = _add_variances(covariance, options)
         rate_variances = options.speed**2, np.radians(options.turn_deg) ** 2
         position, attitude = np.zeros((6, 6)), np.zeros((6, 6))
-        position[:3, :3], attitude[:3, :3] = measured[:3, :3], measured[3:, 3:]
+        position[:3, :3], attitude[:3, :3] = (
+            measured_covariance[:3, :3],
+            measured_covariance[3:, 3:],
+        )
         position[3:, 3:], attitude[3:, 3:] = (rate * np.eye(3) for rate in rate_variances)
         return Motion(seconds, pose, np.zeros(3), np.zeros(3), position, attitude)
 
@@ -120,10 +123,14 @@ class Motion:
             covariance: (6, 6) of its centre (metres) and attitude (rad), about east, north and up.
             options: noise of the filter.
         """
-        measured = _add_variances(covariance, options)
+        measured_covariance = _add_variances(covariance, options)
         innovation = self.innovation(pose)
-        shift, position = _update(self.position_covariance, innovation[:3], measured[:3, :3])
-        turn, attitude = _update(self.attitude_covariance, innovation[3:], measured[3:, 3:])
+        shift, position = _update(
+            self.position_covariance, innovation[:3], measured_covariance[:3, :3]
+        )
+        turn, attitude = _update(
+            self.attitude_covariance, innovation[3:], measured_covariance[3:, 3:]
+        )
         rotation = self.pose.rotation @ so3_exp(torch.from_numpy(turn[:3])).T
         centre = self.pose.centre() + torch.from_numpy(shift[:3])
         return Motion(
@@ -147,13 +154,13 @@ class Motion:
 
         Arguments are those of ``correct``.
         """
-        measured = _add_variances(covariance, options)
+        measured_covariance = _add_variances(covariance, options)
         innovation, total = self.innovation(pose), 0.0
         for rows, state in (
             (slice(3), self.position_covariance),
             (slice(3, 6), self.attitude_covariance),
         ):
-            variance = state[:3, :3] + measured[rows, rows]
+            variance = state[:3, :3] + measured_covariance[rows, rows]
             total += float(innovation[rows] @ np.linalg.solve(variance, innovation[rows]))
         return total
 
@@ -185,15 +192,17 @@ def _add_variances(covariance: Array, options: MotionOptions) -> Array:
     return total
 
 
-def _update(covariance: Array, innovation: Array, measured: Array) -> tuple[Array, Array]:
+def _update(
+    covariance: Array, innovation: Array, measured_covariance: Array
+) -> tuple[Array, Array]:
     """Return the Kalman correction (6,) of value and rate, and the covariance (6, 6) after it.
 
     Args:
         covariance: (6, 6) of value and rate before the measurement.
         innovation: (3,) measured value less the predicted value.
-        measured: (3, 3) covariance of the measured value.
+        measured_covariance: (3, 3) covariance of the measured value.
     """
-    innovation_covariance, crossed = covariance[:3, :3] + measured, covariance[:3]
+    innovation_covariance, crossed = covariance[:3, :3] + measured_covariance, covariance[:3]
     # torch, because NumPy would start LAPACK's threads, which takes 2 ms.
     gain = (
         torch.linalg.solve(torch.from_numpy(innovation_covariance), torch.from_numpy(crossed))
@@ -202,5 +211,5 @@ def _update(covariance: Array, innovation: Array, measured: Array) -> tuple[Arra
     )
     remaining = np.eye(6) - gain @ np.eye(3, 6)
     # In Joseph's form the covariance stays symmetric and positive definite.
-    updated = remaining @ covariance @ remaining.T + gain @ measured @ gain.T
+    updated = remaining @ covariance @ remaining.T + gain @ measured_covariance @ gain.T
     return gain @ innovation, updated

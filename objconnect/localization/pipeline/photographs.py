@@ -56,7 +56,7 @@ class PhotographReader:
         priors: priors by name; None takes them from EXIF and XMP.
         undulation_m: height of the geoid above the ellipsoid at the map, metres, which converts
             altitudes above sea level; None if unknown.
-        estimated: estimated cameras by lens.
+        estimated_cameras: estimated cameras by lens.
         metadata: metadata of the photographs that were read.
     """
 
@@ -64,7 +64,7 @@ class PhotographReader:
     options: LocalizeOptions
     priors: Mapping[str, Prior] | None = None
     undulation_m: float | None = None
-    estimated: Mapping[Lens, Camera] = field(default_factory=dict)
+    estimated_cameras: Mapping[Lens, Camera] = field(default_factory=dict)
     metadata: dict[Path, Exif] = field(default_factory=dict)
 
     def __call__(self, name: str, path: Path) -> QueryImage:
@@ -100,7 +100,7 @@ class PhotographReader:
         """Return the camera of a photograph, or its candidates."""
         if self.options.camera is not None:
             return Calibration(self.options.camera, CameraSource.GIVEN)
-        if (estimate := self.estimated.get(lens_of(exif, size))) is not None:
+        if (estimate := self.estimated_cameras.get(lens_of(exif, size))) is not None:
             return Calibration(estimate, CameraSource.ESTIMATED)
         return calibration_of(size, exif, self.localization_map.cameras)
 
@@ -188,7 +188,7 @@ def add_estimates(
             estimated[lens] = estimate_camera(
                 cameras, _read_queries(reader, sample, advance), localize
             )
-    return replace(reader, estimated=estimated)
+    return replace(reader, estimated_cameras=estimated)
 
 
 def _sample(paths: Mapping[str, Path]) -> dict[str, Path]:
@@ -200,7 +200,7 @@ def _sample(paths: Mapping[str, Path]) -> dict[str, Path]:
 def _read_queries(
     reader: PhotographReader, paths: Mapping[str, Path], advance: Callable[[int], None]
 ) -> Iterator[Query]:
-    """Yield the photographs that can be read; ``advance`` receives the number that is done."""
+    """Yield the photographs that can be read; ``advance`` receives the number of finished ones."""
     for done, (name, path) in enumerate(paths.items()):
         advance(done)
         with suppress(InputError, OSError):

@@ -17,7 +17,7 @@ class QueryImage:
         name: name in the output.
         query: the image with its camera and its prior; None if the image cannot be localized.
         calibration: camera of the image, or cameras to try; None if unknown.
-        time: when the image was taken; None if unknown.
+        time: time at which the image was taken; None if unknown.
         seconds: time from the start of its sequence; None without a sequence, or if unknown.
         gps: position that a receiver measured, in the map's frame; None without one.
         doubts: uncertain metadata or telemetry that is used nevertheless.

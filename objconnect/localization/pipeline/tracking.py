@@ -2,7 +2,7 @@
 
 Every image is localized in the map, so that errors do not accumulate; the motion only gives the
 prior. A pose that contradicts the motion is checked by a search without the motion. After several
-successive failures the camera counts as lost, and the next image is localized without the motion.
+successive failures the camera is lost, and the next image is localized without the motion.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from pydantic import Field
 
-from objconnect.localization.pipeline.failures import localize_retrying, localize_safely
+from objconnect.localization.pipeline.failures import localize_safely, localize_with_retry
 from objconnect.localization.pipeline.motion import Array, Motion, MotionOptions
 from objconnect.scene.config import Config, load_config
 from objconnect.scene.localizer import Estimate, Localizer, Prior, Query, Status
@@ -21,12 +21,12 @@ from objconnect.scene.storage.records import Record
 
 # Lower bound of a prior's position sigmas, metres.
 _MIN_SIGMA_M: Final = 1e-3
-# Sigma of the predicted attitude (degrees per axis) above which the camera counts as lost.
+# Sigma of the predicted attitude (degrees per axis) above which the camera is lost.
 _LOST_SIGMA_DEG: Final = 30.0
 # After this many successive poses that agree with the motion, a search result that contradicts the
 # motion is rejected.
-_CONFIRMED_AFTER: Final = 3
-# Two poses within this distance and angle count as the same.
+_MIN_CONFIRMED_POSES: Final = 3
+# Two poses within this distance and angle are the same.
 _SAME_POSE_M: Final = 0.5
 _SAME_POSE_DEG: Final = 2.0
 # Sigmas per axis that a pose without covariance is assumed to have.
@@ -36,7 +36,7 @@ _CONTRADICTED: Final = "the pose contradicts the motion of the camera"
 
 
 class SequenceConfig(Config):
-    """Options of a sequence: when a pose agrees with the motion, and when the camera is lost."""
+    """Options of a sequence: agreement of poses with the motion, and loss of the camera."""
 
     motion: MotionOptions = Field(
         MotionOptions(), description="Noise of the motion model of aircraft and gimbal."
@@ -84,22 +84,23 @@ class Tracker:
     earlier estimates to ``update``.
 
     Attributes:
-        searched: number of images that were searched without the motion.
+        search_count: number of images that were searched without the motion.
     """
 
     def __init__(self, localizer: Localizer, config: SequenceConfig) -> None:
         """Begin a sequence with a method that is prepared for the map."""
         self._localizer, self._config = localizer, config
         self._motion: Motion | None = None
-        self._failures = self._agreed = 0
-        self.searched = 0
+        self._failures = self._agreeing_poses = 0
+        self.search_count = 0
 
     def localize(self, query: Query, seconds: float) -> Estimate:
         """Localize the next image; call ``update`` with the estimate.
 
         Args:
             query: the image; its prior, if any, is the measurement of the aircraft.
-            seconds: time of the image from the start of the sequence, later than all before.
+            seconds: time of the image from the start of the sequence, later than those of all
+                earlier images.
         """
         predicted = self._predict(seconds)
         if predicted is None:
@@ -113,7 +114,7 @@ class Tracker:
         if found.status is not Status.OK:
             return found
         confirmed = self._is_same_pose(near, found) or self._agrees_with_motion(found, predicted)
-        if confirmed or self._agreed < _CONFIRMED_AFTER:
+        if confirmed or self._agreeing_poses < _MIN_CONFIRMED_POSES:
             return found
         return Estimate(Status.FAILED, seconds=found.seconds, reason=_CONTRADICTED)
 
@@ -128,16 +129,16 @@ class Tracker:
         if estimate.status is not Status.OK or pose is None:
             self._failures += 1
             if self._failures >= self._config.lost_after:
-                self._motion, self._agreed = None, 0
+                self._motion, self._agreeing_poses = None, 0
             return
         predicted = self._predict(seconds)
         covariance, options = self._covariance(estimate), self._config.motion
         self._failures = 0
         if predicted is None or not self._agrees_with_motion(estimate, predicted):
-            self._motion, self._agreed = Motion.begin(seconds, pose, covariance, options), 1
+            self._motion, self._agreeing_poses = Motion.begin(seconds, pose, covariance, options), 1
         else:
             self._motion = predicted.correct(pose, covariance, options)
-            self._agreed += 1
+            self._agreeing_poses += 1
 
     def _predict(self, seconds: float) -> Motion | None:
         """Return the state at a time; None if the camera is lost."""
@@ -159,8 +160,8 @@ class Tracker:
 
     def _search(self, query: Query) -> Estimate:
         """Localize an image without the motion."""
-        self.searched += 1
-        return localize_retrying(self._localizer, query)
+        self.search_count += 1
+        return localize_with_retry(self._localizer, query)
 
     def _agrees_with_motion(self, estimate: Estimate, predicted: Motion) -> bool:
         """Return whether an estimate agrees with the motion."""

@@ -24,7 +24,7 @@ from objconnect.mapping.dense.patchmatch import consistent_estimate, first_estim
 from objconnect.mapping.dense.pictures import draw_cloud, draw_maps
 from objconnect.mapping.dense.planes import normals_of, planes_of
 from objconnect.mapping.dense.report import DenseCloud, DenseReport, read_truth, report
-from objconnect.mapping.dense.sources import choose_all, seeds_in
+from objconnect.mapping.dense.sources import choose_all, find_seeds
 from objconnect.mapping.dense.undistort import pinhole_of, undistort_map, write_undistorted
 from objconnect.mapping.dense.warp import StereoView
 from objconnect.mapping.dense.workspace import KINDS, Stage, Workspace
@@ -64,11 +64,11 @@ _STAGES: tuple[Stage, ...] = ("photometric", "geometric")
 # Bytes of a point of the fused cloud with its visibility count, and of each visibility entry.
 _POINT_BYTES, _VISIBILITY_BYTES = 31, 4
 # Number of depth maps in the overview picture.
-_SHOWN = 3
+_SHOWN_MAPS = 3
 # Times are reported for a depth map of this many pixels.
 _REPORT_PIXELS = 512 * 512
 # Capacity of each cache, in photographs or maps of the largest size.
-_CACHED = 64
+_CACHE_ITEMS = 64
 # Weights of red, green and blue in grey (ITU-R BT.601), for grey in 0..1.
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32) / 255
 
@@ -177,13 +177,13 @@ def _estimate_and_fuse(scene: Scene, request: _Request, cluster: str | None) -> 
     for name in sources_of:  # a damaged file ends the process in COLMAP's fusion, so read all first
         known_pixels += np.count_nonzero(workspace.depth(name, "geometric"))
         workspace.normals(name, "geometric")
-    # COLMAP does not report a full disk. Points share no pixel and list at least ``options.fused``.
+    # COLMAP does not report a full disk. A point uses ``options.fused`` or more pixels of its own.
     fused_bytes = known_pixels // options.fused * _POINT_BYTES + known_pixels * _VISIBILITY_BYTES
     require_disk_space(workspace.cloud, fused_bytes)
     xyz, rgb = fuse_depth_maps(workspace.path, workspace.cloud, options.fused)
     truth = read_truth(scene, pinhole_map)
     names = tuple(sources_of)
-    shown = [names[k] for k in np.linspace(0, len(names) - 1, _SHOWN + 2).astype(int)[1:-1]]
+    shown = [names[k] for k in np.linspace(0, len(names) - 1, _SHOWN_MAPS + 2).astype(int)[1:-1]]
     confirmations = {name: maps.confirmations(name) for name in shown}
     draw_maps(workspace, shown, confirmations, truth, path / "pictures" / "dense-maps.png")
     draw_cloud(xyz, rgb, path / "pictures" / "dense-cloud.png")
@@ -284,7 +284,7 @@ def _write_model(sparse_map: SparseMap, workspace: Workspace) -> None:
 
 
 def _make_maps(maps: _Maps, cluster: str | None) -> float | None:
-    """Make the missing depth maps; return CPU-seconds per ``_REPORT_PIXELS``, None without any."""
+    """Make the missing depth maps; return CPU-seconds per ``_REPORT_PIXELS``, None if none."""
     finished = len(maps) - sum(len(maps.missing(stage)) for stage in _STAGES)
     pixels, seconds = 0, 0.0
     with (
@@ -319,7 +319,7 @@ class _Maps:
         self._device = torch_device(request.device)
         images = sparse_map.images.values()
         pixels = max(image.camera.width * image.camera.height for image in images)
-        floats = _CACHED * pixels * np.dtype(np.float32).itemsize
+        floats = _CACHE_ITEMS * pixels * np.dtype(np.float32).itemsize
         self.view = LruCache(self._read_view, floats)
         # Planes of the first stage: inverse depth and two slopes.
         self.photometric = LruCache(self._read_photometric, 3 * floats)
@@ -339,14 +339,14 @@ class _Maps:
     @torch.inference_mode()
     def __call__(self, unit: tuple[Stage, str]) -> Iterator[tuple[int, float]]:
         """Make one map; yield its number of pixels and its CPU-seconds."""
-        began = time.process_time()
+        start = time.process_time()
         stage, name = unit
         is_first = stage == "photometric"
         estimate = self._estimate_photometric if is_first else self._estimate_geometric
         planes, depth = estimate(name)
         normals = normals_of(planes, self.view(name).camera)
         self._workspace.write(name, stage, depth.cpu().numpy(), normals.cpu().numpy())
-        yield depth.numel(), time.process_time() - began
+        yield depth.numel(), time.process_time() - start
 
     @torch.inference_mode()
     def confirmations(self, name: str) -> NDArray[np.int64]:
@@ -367,7 +367,7 @@ class _Maps:
 
     def _estimate_photometric(self, name: str) -> tuple[Tensor, Tensor]:
         sources = [self.view(other) for other in self._sources_of[name]]
-        seeds = seeds_in(self._map, name)
+        seeds = find_seeds(self._map, name)
         planes, _ = first_estimate(self.view(name), sources, seeds, self._generator(name))
         return planes, 1 / planes[0]
 

@@ -36,7 +36,7 @@ _F = np.float32
 _DX = np.tile(np.array(STEPS, np.float32), len(STEPS))
 _DY = np.repeat(np.array(STEPS, np.float32), len(STEPS))
 _SAMPLES = len(_DX)
-# Padding of sources: one row, so that a row follows every pixel's, and this many columns, because
+# Padding of sources: one row, so that every pixel has a row below it, and these columns, because
 # rows whose length is a power of two would make windows of several sources compete for the same
 # cache lines.
 _PADDING = 17
@@ -61,10 +61,10 @@ class CompiledWindow(NamedTuple):
     weights: NDArray[np.float32]
     correlators: NDArray[np.float32]
 
-    def part(self, which: slice) -> CompiledWindow:
-        """Return the windows around the pixels ``which``."""
+    def part(self, index: slice) -> CompiledWindow:
+        """Return the windows around the pixels of a slice."""
         return CompiledWindow(
-            self.rows[which], self.columns[which], self.weights[which], self.correlators[which]
+            self.rows[index], self.columns[index], self.weights[index], self.correlators[index]
         )
 
 
@@ -78,8 +78,8 @@ class _Sources(NamedTuple):
         inverse_depths: inverse depths of their maps likewise; empty without maps.
         begins: start of each picture in these arrays, (K,).
         shapes: height and width of each picture, (K, 2).
-        there: warps to the sources, (K, 3, 4).
-        back: warps from the sources, (K, 3, 4).
+        to_sources: warps to the sources, (K, 3, 4).
+        from_sources: warps from the sources, (K, 3, 4).
         geometric_weight: ``GEOMETRIC_WEIGHT``.
         limit_px: ``GEOMETRIC_LIMIT_PX``.
     """
@@ -90,8 +90,8 @@ class _Sources(NamedTuple):
     inverse_depths: NDArray[np.float32]
     begins: NDArray[np.int64]
     shapes: NDArray[np.int64]
-    there: NDArray[np.float32]
-    back: NDArray[np.float32]
+    to_sources: NDArray[np.float32]
+    from_sources: NDArray[np.float32]
     geometric_weight: np.float32
     limit_px: np.float32
 
@@ -159,11 +159,11 @@ class CompiledPhotometry:
         self._run_in_parts(fill, len(rows))
         return window
 
-    def cost(self, window: CompiledWindow, planes: Tensor, below: Tensor | None = None) -> Tensor:
+    def cost(self, window: CompiledWindow, planes: Tensor, bounds: Tensor | None = None) -> Tensor:
         """Return the cost of a plane at each pixel; see ``PlaneCosts``."""
         costs = torch.empty(planes.shape[1:])
         values, out = planes.contiguous().numpy(), costs.numpy()
-        least = np.full(len(out), np.inf, np.float32) if below is None else below.numpy()
+        least = np.full(len(out), np.inf, np.float32) if bounds is None else bounds.numpy()
 
         def fill(part: slice) -> None:
             _fill_costs(window.part(part), values[:, part], least[part], self._sources, out[part])
@@ -301,7 +301,7 @@ def _slopes(matrices, k, at, gx, gy):  # type: ignore[no-untyped-def]
 def _correlation(grey, begin, shape, at, slopes, weights, correlators, i):  # type: ignore[no-untyped-def]
     """Return the weighted correlation of window i with the window around a projection."""
     right, bottom, stride = _F(shape[1] - 1), _F(shape[0] - 1), np.uint32(shape[1] + _PADDING)
-    # Positions count from the centre of the first pixel and are clamped to the edge.
+    # Positions are relative to the centre of the first pixel and are clamped to the edge.
     u, v = at.u - _HALF, at.v - _HALF
     mean = square = product = _ZERO
     for s in range(_SAMPLES):

@@ -1,4 +1,4 @@
-"""Check the consistency of a depth map with those of its sources."""
+"""Check the consistency of a depth map with the depth maps of its sources."""
 
 from __future__ import annotations
 

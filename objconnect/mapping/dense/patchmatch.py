@@ -38,7 +38,7 @@ _STEEPEST: Final = 0.5
 # and multiplied by the argument ``step``.
 _STEP_PX: Final = 1.0
 _STEP_SLOPE: Final = 0.2
-# The range of random inverse depths exceeds that of the map's points by this share, because the map
+# The range of random inverse depths exceeds the map points' range by this share, because the map
 # may lack points at the highest and the lowest position.
 _MARGIN: Final = 0.2
 
@@ -191,7 +191,8 @@ class _Search:
     def run(self, estimate: Estimate, rounds: int, step: float) -> Estimate:
         """Propagate and refine planes, ``rounds`` times over both colours.
 
-        Random steps are multiplied by ``step`` in the first round and by half of it in each next.
+        Random steps are multiplied by ``step`` in the first round; it is halved in each further
+        round.
         """
         with torch_threads(self._photometry.torch_threads):
             for k in range(rounds):

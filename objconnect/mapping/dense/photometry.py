@@ -65,7 +65,7 @@ class Samples(NamedTuple):
     """S samples around each of m pixels that a source shows.
 
     Attributes:
-        which: indices (m,) into the window's n pixels.
+        pixel_index: indices (m,) into the window's n pixels.
         x: column (m,) of the pixel's centre.
         y: row (m,) of the pixel's centre.
         weights: weights (S, m) of the samples, which sum to one.
@@ -73,7 +73,7 @@ class Samples(NamedTuple):
             covariance of both windows over the standard deviation of this one.
     """
 
-    which: Tensor
+    pixel_index: Tensor
     x: Tensor
     y: Tensor
     weights: Tensor
@@ -106,13 +106,13 @@ class PlaneCosts(Protocol):
     def window(self, rows: Tensor, columns: Tensor) -> Any:
         """Return the windows around pixels (n,) of the reference."""
 
-    def cost(self, window: Any, planes: Tensor, below: Tensor | None = None) -> Tensor:
+    def cost(self, window: Any, planes: Tensor, bounds: Tensor | None = None) -> Tensor:
         """Return the cost of a plane at each pixel, the mean over the better half of its sources.
 
         Args:
             window: windows around n pixels.
             planes: (3, n).
-            below: upper bounds (n,). Where the cost is not below its bound, any value not below
+            bounds: upper bounds (n,). Where the cost is not below its bound, any value not below
                 the bound may be returned.
         """
 
@@ -164,18 +164,18 @@ class Photometry:
         correlator = weights * central / deviation
         samples = []
         for seen in self._seen[:, rows, columns]:
-            which = seen.nonzero()[:, 0]
-            x, y = columns[which] + 0.5, rows[which] + 0.5
-            factors = weights.index_select(1, which), correlator.index_select(1, which)
-            samples.append(Samples(which, x, y, *factors))
+            index = seen.nonzero()[:, 0]
+            x, y = columns[index] + 0.5, rows[index] + 0.5
+            factors = weights.index_select(1, index), correlator.index_select(1, index)
+            samples.append(Samples(index, x, y, *factors))
         return Window(rows, columns, tuple(samples))
 
-    def cost(self, window: Window, planes: Tensor, below: Tensor | None = None) -> Tensor:
+    def cost(self, window: Window, planes: Tensor, bounds: Tensor | None = None) -> Tensor:
         """Return the exact cost of a plane at each pixel; see ``PlaneCosts``."""
         costs = torch.full((len(self._sources), *planes.shape[1:]), torch.inf, device=planes.device)
         for k, samples in enumerate(window.samples):
-            costs[k, samples.which] = self._cost_in(
-                k, samples, planes.index_select(1, samples.which)
+            costs[k, samples.pixel_index] = self._cost_in(
+                k, samples, planes.index_select(1, samples.pixel_index)
             )
         costs = _sort_costs(costs)
         num_counted = self._num_counted[window.rows, window.columns]

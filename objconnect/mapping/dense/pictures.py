@@ -64,7 +64,7 @@ def draw_maps(
 
 
 def draw_cloud(xyz: NDArray[np.float64], rgb: NDArray[np.uint8], path: Path) -> None:
-    """Draw the cloud from above and from the side, with nearer points in front of farther ones.
+    """Draw the cloud from above and from the south-west, nearer points in front of farther ones.
 
     Args:
         xyz: (M, 3) world metres.

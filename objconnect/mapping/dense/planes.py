@@ -30,7 +30,7 @@ def move(planes: Tensor, dx: Tensor | float, dy: Tensor | float) -> Tensor:
 
 
 def resize(planes: Tensor, height: int, width: int) -> Tensor:
-    """Resize planes (3, H, W) to those of the picture at another size, (3, height, width)."""
+    """Return planes (3, H, W) for the picture at another size, (3, height, width)."""
     sy, sx = planes.shape[1] / height, planes.shape[2] / width
     y = (torch.arange(height, device=planes.device) + 0.5) * sy
     x = (torch.arange(width, device=planes.device) + 0.5) * sx
@@ -49,7 +49,7 @@ def normals_of(planes: Tensor, camera: Camera) -> Tensor:
 
 
 def planes_of(depth: Tensor, normals: Tensor, camera: Camera) -> Tensor:
-    """Return planes from depths (H, W) > 0 and normals (3, H, W), as those of ``normals_of``."""
+    """Return planes from depths (H, W) > 0 and normals (3, H, W) as ``normals_of`` gives."""
     (fx, fy), (cx, cy) = camera.focal, camera.principal
     x, y = camera.pixel_grid(depth.dtype).to(depth.device).unbind(-1)
     nx, ny, nz = normals

@@ -17,7 +17,7 @@ from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 from objconnect.scene.runtime.progress import progress_bar
 
 RELATIVE_TOLERANCE = 0.005
-"""Maximum relative error of a depth that counts as right."""
+"""Maximum relative error of a right depth."""
 
 # A pixel is evaluated if at least this many photographs, including its own, see its surface.
 _MIN_VIEWS = 3
@@ -77,8 +77,8 @@ class DenseReport:
         points: number of points of the fused cloud.
         cpu_seconds_per_map: processor seconds for 512 x 512 pixels of the depth maps of this run;
             None if it made none.
-        accuracy: accuracy of all evaluated pixels, those of the ground, and those of objects by
-            size class; empty where the scene has no true depth.
+        accuracy: accuracy of all evaluated pixels, of pixels of the ground, and of pixels of
+            objects by size class; empty where the scene has no true depth.
     """
 
     photographs: int
@@ -119,7 +119,7 @@ def read_truth(scene: Scene, sparse_map: SparseMap) -> dict[str, Truth]:
                 continue
             for k, name in enumerate(frames.names):
                 if name in sparse_map.images:
-                    pixels = _nearest(frames.cameras[k], sparse_map.images[name].camera)
+                    pixels = _find_nearest(frames.cameras[k], sparse_map.images[name].camera)
                     depth, instance = (layers.read(w, k) for w in ("depth", "instance"))
                     sampled[name] = depth[pixels], instance[pixels]
     images = [sparse_map.images[name] for name in sampled]
@@ -133,7 +133,7 @@ def read_truth(scene: Scene, sparse_map: SparseMap) -> dict[str, Truth]:
     return truth
 
 
-def _nearest(camera: Camera, pinhole: Camera) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _find_nearest(camera: Camera, pinhole: Camera) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the row and column in the photograph for every pixel of the pinhole picture."""
     rays, _ = pinhole.unproject(pinhole.pixel_grid())
     column, row = camera.project(rays).xy.floor().long().unbind(-1)

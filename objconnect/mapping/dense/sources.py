@@ -22,7 +22,7 @@ _NARROWER_DEG: Final = 5.0
 _WIDER_DEG: Final = 15.0
 
 
-def seeds_in(sparse_map: SparseMap, name: str) -> NDArray[np.float64]:
+def find_seeds(sparse_map: SparseMap, name: str) -> NDArray[np.float64]:
     """Return the map points in a photograph, (M, 3): x, y (pixels) and inverse depth (1/m).
 
     They are the points that the photograph observes, and points without observations, which were
@@ -49,7 +49,7 @@ def choose_sources(
     Args:
         sparse_map: map with undistorted cameras.
         name: the photograph to be matched.
-        seeds: its map points, as those of ``seeds_in``.
+        seeds: its map points, from ``find_seeds``.
         count: maximum number of sources.
     """
     image = sparse_map.images[name]
@@ -89,7 +89,7 @@ def choose_all(sparse_map: SparseMap, max_sources: int, min_sources: int) -> dic
     """
     sources_of = {}
     for name in sparse_map.names:
-        seeds = seeds_in(sparse_map, name)
+        seeds = find_seeds(sparse_map, name)
         chosen = choose_sources(sparse_map, name, seeds, max_sources) if len(seeds) else []
         if len(chosen) >= min_sources:
             sources_of[name] = chosen

@@ -27,7 +27,7 @@ _QUALITY = 98
 
 
 def pinhole_of(camera: Camera, size: int) -> Camera:
-    """Return a PINHOLE camera whose picture lies completely inside that of ``camera``.
+    """Return a PINHOLE camera whose picture lies completely inside the one of ``camera``.
 
     Args:
         camera: the camera of photographs.

@@ -13,7 +13,7 @@ from torch import Tensor
 from objconnect.scene.geometry.camera import Camera
 
 MIN_DEPTH_RATIO = 1e-6
-"""Minimum ratio of the depths of a point in the other view and here."""
+"""Minimum ratio of the depths of a point in the other view and in the own view."""
 
 
 @dataclass(frozen=True)
@@ -37,10 +37,10 @@ class StereoView:
 
 
 class WarpedPixels(NamedTuple):
-    """Pixels ``u``, ``v`` in another view, and the ratio ``z`` of the depth there to that here.
+    """Pixels ``u``, ``v`` in another view, and the ratio ``z`` of the depths in both views.
 
-    ``z`` is at least a millionth. ``seen`` is whether the point is in front of the other view and
-    inside its picture.
+    ``z`` is the depth in the other view divided by the depth in the own view, at least a millionth.
+    ``seen`` is whether the point is in front of the other view and inside its picture.
     """
 
     u: Tensor
@@ -66,16 +66,16 @@ class Warp:
     width: int
 
     @staticmethod
-    def between(here: StereoView, there: StereoView) -> Warp:
-        """Return the warp of pixels of ``here`` to pixels of ``there``."""
-        relative = there.cam_from_world @ np.linalg.inv(here.cam_from_world)
-        K = there.camera.calibration
-        rotation = K @ relative[:3, :3] @ np.linalg.inv(here.camera.calibration)
+    def between(view: StereoView, other: StereoView) -> Warp:
+        """Return the warp of pixels of ``view`` to pixels of ``other``."""
+        relative = other.cam_from_world @ np.linalg.inv(view.cam_from_world)
+        K = other.camera.calibration
+        rotation = K @ relative[:3, :3] @ np.linalg.inv(view.camera.calibration)
         return Warp(
             tuple(tuple(row) for row in rotation.tolist()),
             tuple((K @ relative[:3, 3]).tolist()),
-            there.camera.height,
-            there.camera.width,
+            other.camera.height,
+            other.camera.width,
         )
 
     def __call__(self, x: Tensor, y: Tensor, w: Tensor) -> WarpedPixels:
@@ -105,28 +105,29 @@ class Warp:
 
 
 def round_trip(
-    there: Warp, back: Warp, inverse_depth: Tensor, x: Tensor, y: Tensor, w: Tensor
+    to_other: Warp, from_other: Warp, inverse_depth: Tensor, x: Tensor, y: Tensor, w: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Warp pixels to another view, take the depth of its map there, and warp them back.
+    """Warp pixels to another view, take the depth of its map at these pixels, and warp them
+    back.
 
     Args:
-        there: warp to the other view.
-        back: warp from the other view.
+        to_other: warp to the other view.
+        from_other: warp from the other view.
         inverse_depth: inverse depth map (H, W) of the other view, 0 where unknown.
-        x: columns of the pixels here.
-        y: rows of the pixels here.
-        w: inverse depths of the pixels here.
+        x: columns of the pixels.
+        y: rows of the pixels.
+        w: inverse depths of the pixels.
 
     Returns:
         The distance in pixels after the round trip, and the relative difference of the warped depth
         from the map's depth. Both are infinite where the other view does not show the point or has
         no depth.
     """
-    at = there(x, y, w)
-    column = at.u.long().clamp(0, there.width - 1)
-    row = at.v.long().clamp(0, there.height - 1)
+    at = to_other(x, y, w)
+    column = at.u.long().clamp(0, to_other.width - 1)
+    row = at.v.long().clamp(0, to_other.height - 1)
     known = inverse_depth[row, column]
-    returned = back(at.u, at.v, known)
+    returned = from_other(at.u, at.v, known)
     is_known = at.seen & (known > 0)
     pixels = torch.hypot(returned.u - x, returned.v - y)
     return (

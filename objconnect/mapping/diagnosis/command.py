@@ -39,7 +39,8 @@ class Figures:
         masks: coverage of the user's masks, by the size class of the objects.
         surface_distances: distances from the true surface of all points, of points on the ground,
             and of points on objects by size class; empty without truth.
-        uniformity: how evenly the points cover the ground; None where no ground is seen twice.
+        uniformity: how evenly the points cover the ground; None if no two photographs see the
+            same ground.
     """
 
     points: int
@@ -106,7 +107,7 @@ class Diagnosis:
 def diagnose(path: Path, masks: Path | None = None, cell_m: float = 5.0) -> Diagnosis:
     """Measure which objects of a scene have points in its map, and draw the points.
 
-    Rendered scenes know their objects and surfaces. Other scenes need masks of objects; without
+    Rendered scenes have true objects and surfaces. Other scenes need masks of objects; without
     masks, only the uniformity of the points is measured.
 
     Args:
@@ -200,7 +201,7 @@ def _draw(
         name = max(user_masks, key=lambda name: len(np.unique(user_masks[name])))
         labels = user_masks[name]
     elif truth is not None:
-        name = max(truth.small_in, key=lambda name: truth.small_in[name])
+        name = max(truth.small_counts, key=lambda name: truth.small_counts[name])
         labels = _true_labels(scene, sparse_map, name)
     else:
         name = max(

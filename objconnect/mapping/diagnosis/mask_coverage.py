@@ -23,8 +23,8 @@ def mask_coverage(
 ) -> dict[str, ObjectCoverage]:
     """Count masks with and without a point, by the size class of the objects that they show.
 
-    Each mask of each photograph counts once. Its points are those observed inside it. Its size is
-    the longer side of its bounding box at the median depth of the observations around it.
+    Each mask of each photograph is counted once. Its points are those observed inside it. Its size
+    is the longer side of its bounding box at the median depth of the observations around it.
 
     Args:
         sparse_map: map of the photographs.

@@ -83,7 +83,7 @@ def draw(
                                vmax=_MAX_DISTANCE_M, edgecolors="black",
                                linewidths=0.3)  # fmt: skip
         without_points = sum(not has for has in panel.has_points.values())
-        counted = (f": {len(panel.has_points) - without_points} small objects have a point "
+        counted = (f": {len(panel.has_points) - without_points} objects have a point "
                    f"(green), {without_points} none (red)" if panel.has_points else "")  # fmt: skip
         ax.set_title(f"{panel.title}{counted}", fontsize=10)
         ax.set(xlim=(0, width), ylim=(height, 0))

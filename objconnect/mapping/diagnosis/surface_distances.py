@@ -38,13 +38,13 @@ class Truth:
         distance_m: distance (M,) of each point from the surface of its object, metres; infinite
             where no photograph shows that surface near the point.
         ids_in_view: ids of the objects in the map's photographs.
-        small_in: number of small objects in each photograph, by name.
+        small_counts: number of small objects in each photograph, by name.
     """
 
     owners: NDArray[np.int64]
     distance_m: NDArray[np.float64]
     ids_in_view: frozenset[int]
-    small_in: Mapping[str, int]
+    small_counts: Mapping[str, int]
 
 
 @dataclass(frozen=True)
@@ -72,9 +72,9 @@ class SurfaceDistances:
 
     def text(self) -> str:
         """Return the figures as text."""
-        spread = "" if self.median_m is None else f"median {self.median_m:.3f} m, "
-        spread += "" if self.p90_m is None else f"90 % under {self.p90_m:.3f} m, "
-        return f"{spread}{self.close:.1%} of {self.points} within {CLOSE_M} m"
+        percentiles = "" if self.median_m is None else f"median {self.median_m:.3f} m, "
+        percentiles += "" if self.p90_m is None else f"90 % under {self.p90_m:.3f} m, "
+        return f"{percentiles}{self.close:.1%} of {self.points} within {CLOSE_M} m"
 
 
 def read_truth(scene: Scene, sparse_map: SparseMap) -> Truth | None:
@@ -106,7 +106,7 @@ def read_truth(scene: Scene, sparse_map: SparseMap) -> Truth | None:
         owners=owners,
         distance_m=distance_m,
         ids_in_view=frozenset(np.concatenate(list(ids_in.values())).tolist()),
-        small_in={name: int(np.isin(ids, small).sum()) for name, ids in ids_in.items()},
+        small_counts={name: int(np.isin(ids, small).sum()) for name, ids in ids_in.items()},
     )
 
 

@@ -30,8 +30,8 @@ class Uniformity:
         cell_m: side of a cell, metres.
         cells: number of cells that two or more photographs of the map see.
         empty: share of these cells without a point.
-        entropy: normalised entropy of the points over the cells: 1 when all cells have the same
-            number of points, 0 when one cell has all.
+        entropy: normalised entropy of the points over the cells: 1 if all cells have the same
+            number of points, 0 if one cell has all.
     """
 
     cell_m: float

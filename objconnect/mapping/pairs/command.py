@@ -1,6 +1,7 @@
 """The command ``ingest --pair``: make a flight data set from two orthophotos.
 
-The map is made of the orthophoto of one date; the queries are drawn from that of another date."""
+The map is made of the orthophoto of one date; the queries are drawn from the other one.
+"""
 
 from __future__ import annotations
 

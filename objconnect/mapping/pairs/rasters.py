@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 
 # Level ground has pixels this many times as wide as the orthophoto's, and extends beyond each edge
 # by this share of the orthophoto's side.
-_COARSER: Final = 8
-_BEYOND: Final = 0.1
+_LEVEL_PIXEL_RATIO: Final = 8
+_LEVEL_MARGIN: Final = 0.1
 # Maximum side (px) of a picture that ``cv2.warpPerspective`` accepts.
 _MAX_SIDE_PX: Final = 32_766
 
@@ -119,10 +119,13 @@ def write_level_ground(mapped: Raster, out: Path) -> None:
         InputError: the file cannot be written.
     """
     grid = mapped.grid
-    pixel = (_COARSER * grid.pixel[0], _COARSER * grid.pixel[1])
-    wide, high = (math.ceil((1 + 2 * _BEYOND) * n / _COARSER) for n in (grid.width, grid.height))
-    left = grid.left - _BEYOND * grid.width * grid.pixel[0]
-    top = grid.top + _BEYOND * grid.height * grid.pixel[1]
+    pixel = (_LEVEL_PIXEL_RATIO * grid.pixel[0], _LEVEL_PIXEL_RATIO * grid.pixel[1])
+    wide, high = (
+        math.ceil((1 + 2 * _LEVEL_MARGIN) * n / _LEVEL_PIXEL_RATIO)
+        for n in (grid.width, grid.height)
+    )
+    left = grid.left - _LEVEL_MARGIN * grid.width * grid.pixel[0]
+    top = grid.top + _LEVEL_MARGIN * grid.height * grid.pixel[1]
     level = Grid(grid.projection, left, top, pixel, wide, high)
     with raster_writer(out, "surface model", level) as write:
         write(Patch(level, np.zeros((1, high, wide), np.float32)))

@@ -1,7 +1,7 @@
 """The residual of registration between two orthophotos, measured on windows of the ground.
 
 A season changes colours and reverses contrasts, but edges stay. Each window is described by its
-gradients. Their angles are doubled, so that the sign of the contrast does not count, and their
+gradients. Their angles are doubled, so that the sign of the contrast has no effect, and their
 lengths are divided by the mean length nearby. The offset of a window is the maximum of the
 correlation of both dates, whose spectrum is partly whitened: orientation correlation (Fitch et al.,
 BMVC 2002) and phase correlation combined.
@@ -49,7 +49,7 @@ _REACH: Final = 0.25
 # that differ from it by more than ``_PEAK_PX`` (px) in either axis.
 _MIN_PEAK_RATIO: Final = 1.25
 _PEAK_PX: Final = 3
-# Windows agree if their offsets differ from the median by less (px). The dates count as registered
+# Windows agree if their offsets differ from the median by less (px). The dates are registered
 # if at least this many windows agree, and this share of the windows with a clear offset.
 _AGREE_PX: Final = 6.0
 _MIN_AGREEING: Final = 5

@@ -52,8 +52,8 @@ def measure(
     """Compute the classifier's inputs for the points of tracks, (T, ``NUM_FIGURES``).
 
     They are the height above the ground (m), its standard deviation (log) and their ratio; the
-    reprojection error; the number of photographs with a blob at the point, and of those that have
-    it in view; the photoconsistency costs at several heights relative to that at the ground; the
+    reprojection error; the numbers of photographs with a blob at the point and with the point in
+    view; the photoconsistency costs at several heights relative to the cost at the ground; the
     strength, size and contrast of the blobs, but not their colours; and the spread of viewing
     directions.
 
@@ -90,23 +90,23 @@ def measure(
     # Standard deviation of a height: the error on the ground over the spread of the rays' slopes.
     slope_norm = np.sqrt(views * ((spread**2).sum(0) + 1e-9))
     sigma = tracks.error_px * pixel_m / slope_norm
-    above = tracks.xyz[:, 2] - ground.height_at(tracks.xyz[:, :2])
-    relative = compare_with_ground(costs, above)
+    height = tracks.xyz[:, 2] - ground.height_at(tracks.xyz[:, :2])
+    relative = compare_with_ground(costs, height)
     strength, appearance = look_up("strength"), look_up("appearance")
     figures = [
-        above,
+        height,
         np.log(sigma + _LOG_SIGMA_M),
-        above / (sigma + _RATIO_SIGMA_M),
+        height / (sigma + _RATIO_SIGMA_M),
         tracks.error_px,
         views,
         tracks.visible,
         views / tracks.visible.clip(1),
-        relative.least.clip(0, _MAX_LEAST_COST),
+        relative.least_ratio.clip(0, _MAX_LEAST_COST),
         relative.distance_m.clip(0, _MAX_DISTANCE_M),
         mean(strength),
         deviation(strength) / mean(strength).clip(1),
         *spread,
-        relative.on_ground,
+        relative.ground_cost,
         mean(look_up("radius_index")),
         *relative.ratios.clip(0, _MAX_COST).T,
         *(mean(appearance[:, k]) for k in range(_APPEARANCE_FIGURES)),

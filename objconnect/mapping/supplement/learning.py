@@ -51,20 +51,20 @@ class TrainingData(NamedTuple):
         figures: inputs (T, F) of the classifier.
         on_object: (T,) bool, whether each point is within 0.5 m of the surface of an object.
         small: id (T,) of the small object on which each point lies, 0 for none.
-        lacking: ids of small objects in view that have no point in the map.
+        uncovered: ids of small objects in view that have no point in the map.
     """
 
     figures: NDArray[np.float32]
     on_object: NDArray[np.bool_]
     small: NDArray[np.int64]
-    lacking: frozenset[int]
+    uncovered: frozenset[int]
 
 
 def read_training_data(path: Path) -> TrainingData:
     """Propose points in a rendered scene with a map, with the objects on which they lie.
 
     Raises:
-        InputError: the folder is not such a scene.
+        InputError: the folder is not a rendered scene with a map.
     """
     scene = Scene.open(path)
     sparse_map = scene.sparse_map()
@@ -79,17 +79,17 @@ def read_training_data(path: Path) -> TrainingData:
     small = {item.id for item in scene.objects.objects if item.size_class == "small"}
     on_object = (truth.owners > 0) & (truth.distance_m < CLOSE_M)
     owner = np.where(on_object & np.isin(truth.owners, list(small)), truth.owners, 0)
-    lacking = (small & before.ids_in_view) - set(np.unique(before.owners).tolist())
-    return TrainingData(proposals.figures, on_object, owner, frozenset(lacking))
+    uncovered = (small & before.ids_in_view) - set(np.unique(before.owners).tolist())
+    return TrainingData(proposals.figures, on_object, owner, frozenset(uncovered))
 
 
 def _to_map(proposals: Proposals) -> SparseMap:
     """Convert proposals to a map, as ``read_truth`` takes it."""
     tracks, images = proposals.tracks, {}
     for view, image in enumerate(proposals.images):
-        is_here = tracks.view == view
-        xy = proposals.blobs[view].xy[tracks.row[is_here]]
-        images[image.name] = replace(image, xy=xy, point_rows=tracks.track[is_here])
+        is_in_view = tracks.view == view
+        xy = proposals.blobs[view].xy[tracks.row[is_in_view]]
+        images[image.name] = replace(image, xy=xy, point_rows=tracks.track[is_in_view])
     count = len(tracks.xyz)
     colours = np.zeros((count, 3), np.uint8)
     return SparseMap(images, tracks.xyz, colours, np.zeros(count), tracks.views)
@@ -143,11 +143,11 @@ def report(classifier: PointClassifier, data: TrainingData) -> list[str]:
     for wanted in _PRECISIONS:
         enough = np.flatnonzero(precision >= wanted)
         kept = order[: enough[-1] + 1] if len(enough) else order[:0]
-        covered = data.lacking & set(data.small[kept].tolist())
+        covered = data.uncovered & set(data.small[kept].tolist())
         least = float(probability[kept].min()) if len(kept) else 1.0
         lines.append(
             f"{wanted:.0%} of {len(kept)} points on objects from probability {least:.3f} on: "
-            f"{len(covered)} of {len(data.lacking)} small objects without a point get one"
+            f"{len(covered)} of {len(data.uncovered)} small objects without a point get one"
         )
     return lines
 

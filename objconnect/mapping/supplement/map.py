@@ -58,7 +58,7 @@ def add_to_map(
             raise InputError(f"another run changed the map of {path}: run supplement again")
         new = [_new_point(scene, point, detections) for point in points]
         with atomic_folder(scene.map_path, MAP_FILES) as folder:
-            _copy_before(scene, folder)
+            _copy_without_added(scene, folder)
             before = read_model(folder)
             ids = add_points(folder, new, folder)
             added = [
@@ -87,12 +87,12 @@ def remove_from_map(path: Path) -> int:
         if supplement is None:
             raise InputError(f"the map of {path} has no added points: there is nothing to remove")
         with atomic_folder(scene.map_path, MAP_FILES) as folder:
-            _copy_before(scene, folder)
+            _copy_without_added(scene, folder)
         finish_scene(path, scene.manifest)
     return len(supplement.points)
 
 
-def _copy_before(scene: Scene, folder: Path) -> None:
+def _copy_without_added(scene: Scene, folder: Path) -> None:
     """Copy the map into a folder, without its added points."""
     for file in scene.map_path.iterdir():
         if file.name in MAP_FILES and file.name not in (SUPPLEMENT, ADDED_FEATURES):

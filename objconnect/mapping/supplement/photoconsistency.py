@@ -29,7 +29,7 @@ from objconnect.scene.storage.lru_cache import LruCache
 HEIGHTS: Final = np.arange(-0.45, 3.5, 0.15)
 """Heights above the ground that are compared (m). The classifier takes one figure for each."""
 
-# Which of ``HEIGHTS`` count as the ground.
+# Mask of the ``HEIGHTS`` that are at the ground.
 _IS_GROUND: Final = np.abs(HEIGHTS) < 0.16
 # Cost that replaces an unknown one. The classifier was trained with it.
 _UNKNOWN: Final = 15.0
@@ -44,7 +44,7 @@ _MAX_DIFFERENCE: Final = 15.0
 # Blur (px) of the photographs, because windows are sampled between pixels.
 _BLUR_PX: Final = 0.5
 # Capacity of the cache, in photographs of the largest size.
-_CACHED: Final = 16
+_CACHE_PHOTOGRAPHS: Final = 16
 # Maximum number of rows per call of OpenCV's remap.
 _ROWS: Final = 30000
 
@@ -74,7 +74,7 @@ def compute_costs(
     """Return the mean colour difference around points at each of ``HEIGHTS``, (T, H).
 
     The window in the horizontally nearest photograph is compared with all other photographs that
-    show the point. The result is NaN where no other photograph does.
+    show the point. The result is NaN where no other photograph shows it.
 
     Args:
         images: photographs of the map.
@@ -93,7 +93,7 @@ def compute_costs(
         return np.asarray(cv2.GaussianBlur(lab, (0, 0), _BLUR_PX), np.float32)
 
     largest = max((image.camera.width * image.camera.height for image in images), default=0)
-    photograph = LruCache(read, _CACHED * 3 * np.dtype(np.float32).itemsize * largest)
+    photograph = LruCache(read, _CACHE_PHOTOGRAPHS * 3 * np.dtype(np.float32).itemsize * largest)
     above = tracks.xyz[:, 2] - ground.height_at(tracks.xyz[:, :2])
     nearest, row = _find_nearest_views(images, tracks)
     result = np.full((len(tracks.xyz), len(HEIGHTS)), np.nan)
@@ -168,33 +168,33 @@ def _find_nearest_views(
 
 
 class RelativeCosts(NamedTuple):
-    """Costs of T points relative to those at the ground below them.
+    """Costs of T points relative to the costs at the ground below them.
 
     Attributes:
-        least: ratio (T,) of the minimum cost to the cost at the ground; infinite where unknown.
+        least_ratio: ratio (T,) of the minimum cost to the cost at the ground; infinite if unknown.
         distance_m: distance (T,) between the height of the minimum cost and the point, metres.
-        on_ground: cost (T,) at the ground.
+        ground_cost: cost (T,) at the ground.
         ratios: ratios (T, H) of the costs at ``HEIGHTS`` to the cost at the ground.
     """
 
-    least: NDArray[np.float64]
+    least_ratio: NDArray[np.float64]
     distance_m: NDArray[np.float64]
-    on_ground: NDArray[np.float64]
+    ground_cost: NDArray[np.float64]
     ratios: NDArray[np.float64]
 
 
 def compare_with_ground(costs: NDArray[np.float64], height: NDArray[np.float64]) -> RelativeCosts:
-    """Compare the costs of points with those at the ground below them.
+    """Compare the costs of points with the costs at the ground below them.
 
     Args:
         costs: result (T, H) of ``compute_costs``.
         height: heights (T,) of the points above the ground, metres.
     """
     known = np.where(np.isnan(costs), _UNKNOWN, costs)
-    on_ground = known[:, _IS_GROUND].min(1)
-    ratios = known / np.maximum(on_ground, 1e-9)[:, None]
+    ground_cost = known[:, _IS_GROUND].min(1)
+    ratios = known / np.maximum(ground_cost, 1e-9)[:, None]
     least = np.where(np.isnan(costs).all(1), np.inf, ratios.min(1))
-    return RelativeCosts(least, np.abs(HEIGHTS[known.argmin(1)] - height), on_ground, ratios)
+    return RelativeCosts(least, np.abs(HEIGHTS[known.argmin(1)] - height), ground_cost, ratios)
 
 
 def _sample(picture: NDArray[np.float32], xy: NDArray[np.float64]) -> NDArray[np.float32]:

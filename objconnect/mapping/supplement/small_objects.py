@@ -88,8 +88,8 @@ def propose_points(
     tracks = follow_blobs(images, blobs, ground, config.views)
     tracks = refine_tracks(images, blobs, tracks, config.views)
     tracks = drop_overlapping(tracks, config.views)
-    above = tracks.xyz[:, 2] - ground.height_at(tracks.xyz[:, :2])
-    tracks = tracks.select((above > _MIN_HEIGHT_M) & (above < _MAX_HEIGHT_M))
+    height = tracks.xyz[:, 2] - ground.height_at(tracks.xyz[:, :2])
+    tracks = tracks.select((height > _MIN_HEIGHT_M) & (height < _MAX_HEIGHT_M))
     costs = compute_costs(images, folder, blobs, ground, tracks)
     figures = measure(images, blobs, ground, tracks, costs)
     return Proposals(images, blobs, tracks, figures)
@@ -136,7 +136,7 @@ def supplement_points(
 
 
 def _drop_known(sparse_map: SparseMap, points: list[TriangulatedPoint]) -> list[TriangulatedPoint]:
-    """Return the points that are far enough from those of the map."""
+    """Return the points that are far enough from the map's points."""
     if not points:
         return []
     _, distance = find_nearest(np.array([point.xyz for point in points]), sparse_map.xyz, 1)

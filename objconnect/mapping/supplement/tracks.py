@@ -34,8 +34,7 @@ _STEPS: Final = 4
 _STEPS_WITH_OUTLIERS: Final = 2
 # Observations with a larger reprojection error (px) are dropped.
 _MAX_ERROR_PX: Final = 1.5
-# Width (px) of the border in which a point does not count as visible, because blobs need
-# surroundings.
+# Width (px) of the border in which a point is not visible, because blobs need surroundings.
 _BORDER_PX: Final = 4.0
 # Minimum share of a track's blobs that no better track uses.
 _MIN_FREE_SHARE: Final = 0.7
@@ -105,7 +104,7 @@ def follow_blobs(
     ground: Ground,
     min_views: int,
 ) -> Tracks:
-    """Find the height above the ground of every blob: the one at which most photographs match it.
+    """Find the height above the ground at which each blob matches other photographs best.
 
     Args:
         images: photographs of the map.
@@ -266,8 +265,8 @@ def refine_tracks(
 ) -> Tracks:
     """Minimise the reprojection errors of points by Gauss-Newton with Cauchy weights.
 
-    Observations with too large an error are dropped, and tracks with fewer than ``min_views`` of
-    them.
+    Observations with too large an error are dropped, and tracks with fewer than ``min_views``
+    observations.
     """
     for round_ in range(_STEPS + 1):
         count = len(tracks.xyz)
@@ -303,7 +302,7 @@ def refine_tracks(
 
 
 def drop_overlapping(tracks: Tracks, min_views: int) -> Tracks:
-    """Assign each blob to one track, in the order of observations minus mean error (px).
+    """Assign each blob to one track, the one with the most observations minus mean error (px).
 
     Tracks that lose too large a share of their blobs to others are dropped, and tracks with fewer
     than ``min_views`` blobs.

@@ -36,7 +36,7 @@ _MOST_HOLES = 4
 # A raster is a synthetic surface if its heights are constants in fewer steps of a metre than this,
 # or in a smaller share of the steps of their range.
 _MIN_STEPS, _MIN_STEP_SHARE = 5, 0.5
-# heights next to missing data that are this far outside all others (m) come from resampling.
+# Heights next to missing data that are this far outside all others (m) come from resampling.
 _BELOW_M, _ABOVE_M = 10.0, 100.0
 # The lowest and highest ground is taken from pixels farther than this from no data (pixels).
 _MARGIN_PX = 2

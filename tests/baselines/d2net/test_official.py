@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from baselines.d2net.detection import detect
-from baselines.d2net.loss import Described, triplet_loss
+from baselines.d2net.loss import ImagePoints, triplet_loss
 from baselines.d2net.network import D2Net, D2NetNetConfig, read_network, soft_scores
 from tests.baselines.d2net import official
 
@@ -109,7 +109,8 @@ def test_the_loss_and_its_gradient_are_the_authors(recorded: dict[str, NDArray[A
     cells = torch.stack([columns, rows], -1).reshape(-1, 2) + 0.5
     away = torch.tensor([float(moved), 0])
     found = triplet_loss(
-        Described(features[0], scores[0], cells), Described(features[1], scores[1], cells - away)
+        ImagePoints(features[0], scores[0], cells),
+        ImagePoints(features[1], scores[1], cells - away),
     )
     found.loss.backward()
     assert found.loss.item() == pytest.approx(float(recorded["loss"]), rel=1e-5)

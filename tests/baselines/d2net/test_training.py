@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 import baselines.d2net.training
-from baselines.d2net.loss import Described, TripletLoss, triplet_loss
+from baselines.d2net.loss import ImagePoints, TripletLoss, triplet_loss
 from baselines.d2net.network import D2Net, D2NetNetConfig, soft_scores
 from baselines.d2net.training import D2NetTraining, start_from
 from objconnect.learning.checkpoint import write_weights
@@ -52,7 +52,9 @@ def test_the_loss_is_the_papers_formula_summed_by_hand() -> None:
     scores = [torch.rand(12, 14), torch.rand(13, 11)]
     columns = torch.arange(9)
     cells = [torch.stack([columns, columns + 2], -1), torch.stack([columns + 1, columns], -1)]
-    described = [Described(f, s, c + 0.5) for f, s, c in zip(features, scores, cells, strict=True)]
+    described = [
+        ImagePoints(f, s, c + 0.5) for f, s, c in zip(features, scores, cells, strict=True)
+    ]
     result = triplet_loss(*described)
 
     unit = [(f / f.norm(dim=0)).double().numpy() for f in features]

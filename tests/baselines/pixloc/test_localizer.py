@@ -163,8 +163,8 @@ def test_a_search_that_references_begin_ends_with_the_nearest_ones(
         chosen.append(choose(refine, query).tolist())
         return np.array(chosen[-1])
 
-    choose = Refiner.photographs
-    monkeypatch.setattr(Refiner, "photographs", photographs)
+    choose = Refiner.choose_references
+    monkeypatch.setattr(Refiner, "choose_references", photographs)
     named = replace(QUERY, prior=None, references=("0.png", "3.png"))
     localizer = PixlocLocalizer(PixlocConfig(weights=weights, multistart=True, references=2))
     localizer.prepare(*made, cache)

@@ -18,7 +18,7 @@ from benchmark.scoring.uncertainty import (
     risk_coverage,
 )
 from experiments.covariance import Answers, calibrate
-from objconnect.localization.align.covariance import Spread
+from objconnect.localization.align.covariance import PoseUncertainty
 from objconnect.localization.featuremetric.calibration import CovarianceModel
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Status
@@ -127,7 +127,7 @@ def make_answers(
     level, equal = np.exp(rng.normal(np.log(5e-4), 0.5, count)), rng.uniform(5, 30, count)
     same = np.ones(count)
     columns = (same, depth, patches, view_cosine, same, level, equal)
-    around = Spread(torch.from_numpy(covariances), *map(torch.from_numpy, columns))
+    around = PoseUncertainty(torch.from_numpy(covariances), *map(torch.from_numpy, columns))
     names = np.full(count, "snow")
     known = Answers(names, names, np.zeros((count, 6)), around, fit, np.zeros(count, bool))
     lower = np.linalg.cholesky(known.covariances(numbers))

@@ -83,12 +83,12 @@ def test_costs_are_held_against_those_of_the_ground() -> None:
     on_it = 1.0 + np.abs(HEIGHTS)
     costs = np.stack([above, on_it, np.full(len(above), np.nan)])
     found = compare_with_ground(costs, np.full(3, 1.0))
-    assert found.least[0] < 0.65
+    assert found.least_ratio[0] < 0.65
     assert found.distance_m[0] < 0.15
-    assert found.least[1] == 1
+    assert found.least_ratio[1] == 1
     assert found.distance_m[1] > 0.9
-    assert np.isinf(found.least[2])
-    np.testing.assert_allclose(found.ratios[0], above / found.on_ground[0])
+    assert np.isinf(found.least_ratio[2])
+    np.testing.assert_allclose(found.ratios[0], above / found.ground_cost[0])
     assert np.isfinite(found.ratios).all()
 
 

@@ -73,7 +73,7 @@ def source_of(
     finder: ObjectSearch, sparse_map: SparseMap, scene: Scene, cache: Path, key: str = "a key"
 ) -> ReferenceSource:
     kept = MapCache.of(sparse_map, scene.images_root, cache)
-    return ReferenceSource(kept, finder._find._extract, key, "objconnect", 64)
+    return ReferenceSource(kept, finder._finder._extract, key, "objconnect", 64)
 
 
 def landmarks_in(path: Path) -> Landmarks:

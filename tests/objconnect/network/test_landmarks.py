@@ -59,18 +59,18 @@ def views(xyz: NDArray[np.float64], vectors: torch.Tensor) -> list[View]:
 def test_things_are_placed_where_they_are() -> None:
     xyz, vectors = things()
     for view in views(xyz, vectors):
-        away = np.linalg.norm(view.placed.xyz[:, None] - xyz, axis=-1).min(1)
+        away = np.linalg.norm(view.placed_objects.xyz[:, None] - xyz, axis=-1).min(1)
         assert away.max() < 0.01
-        np.testing.assert_allclose(view.placed.sides, 2.0, atol=0.01)
+        np.testing.assert_allclose(view.placed_objects.sides, 2.0, atol=0.01)
 
 
 def test_a_ray_to_the_sky_has_no_place() -> None:
     xyz, vectors = things()
     view = photograph((0.0, 0.0, 85.0), (0.0, 0.0, 0.0), xyz, vectors)
     flat = Pose(so3_exp(torch.tensor([np.pi / 2, 0.0, 0.0])).double(), torch.zeros(3).double())
-    placed = place_on_ground(view.found, CAMERA, flat, GROUND)
+    placed = place_on_ground(view.detections, CAMERA, flat, GROUND)
     assert np.isnan(placed.xyz).all(1).any()
-    assert len(merge([view._replace(placed=placed, pose=flat)])[0]) <= len(placed.xyz)
+    assert len(merge([view._replace(placed_objects=placed, pose=flat)])[0]) <= len(placed.xyz)
 
 
 def test_one_thing_in_several_photographs_is_one_landmark() -> None:
@@ -89,12 +89,12 @@ def test_what_one_photograph_of_four_shows_is_none() -> None:
     seen = views(xyz, vectors)
     ghost = np.array([[1.0, 2.0, 6.0]])
     alone = photograph((0.0, 0.0, 85.0), (0.0, 0.0, 0.3), ghost, torch.eye(8)[:1])
-    both = seen[0].found, alone.found
+    both = seen[0].detections, alone.detections
     joined = Detections(
         *(torch.cat([getattr(each, name) for each in both]) for name in vars(both[0]))
     )
     placed = place_on_ground(joined, CAMERA, seen[0].pose, GROUND)
-    landmarks = merge([seen[0]._replace(found=joined, placed=placed), *seen[1:]])[0]
+    landmarks = merge([seen[0]._replace(detections=joined, placed_objects=placed), *seen[1:]])[0]
     assert np.linalg.norm(landmarks.xyz - ghost, axis=1).min() > 0.2
 
 

@@ -54,7 +54,7 @@ def test_the_pose_at_which_objects_agree_comes_first(heading: float, height: flo
     angles = cv_angles(base)
     view = photograph((12.0, -8.0, height + 5.0), angles, xyz, vectors)
     found = object_matcher(landmarks)(
-        view.found, CAMERA, [DOWN], Bounds(HEADINGS, [60.0, 75.0, 92.0, 115.0])
+        view.detections, CAMERA, [DOWN], Bounds(HEADINGS, [60.0, 75.0, 92.0, 115.0])
     )
     best = found[0]
     np.testing.assert_allclose(best.pose.centre()[:2].numpy(), [12.0, -8.0], atol=1.0)
@@ -76,7 +76,7 @@ def test_the_attitude_at_which_objects_agree_comes_first() -> None:
     landmarks = merge(views(xyz, vectors))[0]
     view = photograph((0.0, -20.0, 75.0), (0.5, 0.0, 0.0), xyz, vectors)
     found = object_matcher(landmarks)(
-        view.found, CAMERA, [DOWN, view.pose.rotation], Bounds(HEADINGS, [60.0, 72.0])
+        view.detections, CAMERA, [DOWN, view.pose.rotation], Bounds(HEADINGS, [60.0, 72.0])
     )
     np.testing.assert_allclose(found[0].pose.centre()[:2].numpy(), [0.0, -20.0], atol=1.5)
     np.testing.assert_allclose(found[0].pose.rotation, view.pose.rotation, atol=0.05)
@@ -96,7 +96,7 @@ def test_poses_out_of_bounds_are_no_candidates(bounds: Bounds) -> None:
     view = photograph((12.0, -8.0, 80.0), (0.0, 0.0, 0.0), xyz, vectors)
 
     def is_found(within: Bounds) -> bool:
-        made = object_matcher(landmarks)(view.found, CAMERA, [DOWN], within)
+        made = object_matcher(landmarks)(view.detections, CAMERA, [DOWN], within)
         return any(bool((each.pose.centre() - view.pose.centre()).norm() < 3) for each in made)
 
     assert is_found(ANY)
@@ -114,7 +114,7 @@ def test_a_large_map_is_searched_in_tiles() -> None:
     many = Landmarks(whole, *(getattr(landmarks, name)[rows] for name in Landmarks.ARRAYS[1:]))
     assert len(many) > 1600
     view = photograph((12.0, -8.0, 80.0), (0.0, 0.0, 0.0), xyz, vectors)
-    found = ObjectMatcher(graph(), many, GROUND)(view.found, CAMERA, [DOWN], ANY)
+    found = ObjectMatcher(graph(), many, GROUND)(view.detections, CAMERA, [DOWN], ANY)
     np.testing.assert_allclose(found[0].pose.centre()[:2].numpy(), [12.0, -8.0], atol=1.0)
 
 
@@ -122,8 +122,8 @@ def test_too_few_objects_connect_with_nothing() -> None:
     xyz, vectors = things(count=60)
     landmarks = merge(views(xyz, vectors))[0]
     few = photograph((0.0, 0.0, 80.0), (0.0, 0.0, 0.0), xyz[:2] * [0.1, 0.1, 1.0], vectors[:2])
-    assert object_matcher(landmarks)(few.found, CAMERA, [DOWN], ANY) == []
-    shown = photograph((0.0, 0.0, 80.0), (0.0, 0.0, 0.0), xyz, vectors).found
+    assert object_matcher(landmarks)(few.detections, CAMERA, [DOWN], ANY) == []
+    shown = photograph((0.0, 0.0, 80.0), (0.0, 0.0, 0.0), xyz, vectors).detections
     at_one_place = replace(shown, xy=shown.xy[:1].expand(len(shown), 2))
     assert object_matcher(landmarks)(at_one_place, CAMERA, [DOWN], ANY) == []
     one = landmarks.select(np.array([0]))
@@ -131,7 +131,7 @@ def test_too_few_objects_connect_with_nothing() -> None:
     none = merge([])[0]
     empty = Landmarks(**{**vars(none), "vectors": np.zeros((0, 8), np.float32)})
     whole = photograph((0.0, 0.0, 80.0), (0.0, 0.0, 0.0), xyz, vectors)
-    assert object_matcher(empty)(whole.found, CAMERA, [DOWN], ANY) == []
+    assert object_matcher(empty)(whole.detections, CAMERA, [DOWN], ANY) == []
 
 
 def test_a_constellation_means_the_same_wherever_it_stands() -> None:
@@ -215,6 +215,6 @@ def test_the_height_of_the_ground_is_that_of_the_place() -> None:
     higher = GroundGrid(GROUND.origin, GROUND.cell, heights)
     view = photograph((0.0, 0.0, 85.0), (0.0, 0.0, 0.0), xyz, vectors)
     made = ObjectMatcher(graph(), landmarks, higher)
-    found = made(view.found, CAMERA, [DOWN], Bounds([0.0], [80.0]))
+    found = made(view.detections, CAMERA, [DOWN], Bounds([0.0], [80.0]))
     assert isinstance(found[0].pose, Pose)
     assert float(found[0].pose.centre()[2]) == pytest.approx(88.0, abs=3.0)

@@ -177,7 +177,7 @@ def test_points_too_few_and_features_that_say_nothing() -> None:
                 mask,
             )
         )
-        seen = int(found.seen)
+        seen = int(found.points_in_view)
         assert found.reason(0) == f"too few points of the map are in view ({seen})"
         assert seen <= count
         never_nan(found)
@@ -241,6 +241,6 @@ def test_gradients_stop_between_levels() -> None:
     maps = [level.features.clone().requires_grad_() for level in problem.levels]
     levels = [replace(lv, features=m) for lv, m in zip(problem.levels, maps, strict=True)]
     found = replace(problem, levels=levels).align(one(wrong(problem.truth, 1, 1, 0)), PLAIN)
-    found.by_level[-1].translation.sum().backward()
+    found.level_poses[-1].translation.sum().backward()
     assert maps[0].grad is None and maps[1].grad is None
     assert maps[2].grad is not None and maps[2].grad.abs().sum() > 0

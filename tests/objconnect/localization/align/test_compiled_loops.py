@@ -11,8 +11,8 @@ import torch
 
 import objconnect.localization.align.linearise as linearising
 from objconnect.localization.align import kernels
-from objconnect.localization.align.compiled_loops import _WORTH_THREADS
-from objconnect.localization.align.damping import FLOOR, solve_step
+from objconnect.localization.align.compiled_loops import _MIN_THREADED_POINTS
+from objconnect.localization.align.damping import MIN_ADDED, solve_step
 from objconnect.localization.align.descent import descend
 from objconnect.localization.align.linearise import can_be_compiled, linearise
 from objconnect.localization.align.options import Options
@@ -81,7 +81,7 @@ def test_threads_change_no_bit(poses: int) -> None:
         with torch_threads(threads), torch.inference_mode():
             found.append(descend(cost, start, alive, damping, Options(iterations=7)))
     alone = found[0]
-    assert poses * POINTS > _WORTH_THREADS or poses == 1
+    assert poses * POINTS > _MIN_THREADED_POINTS or poses == 1
     assert (alone.iterations[alive] > 0).all() and (alone.iterations[~alive] == 0).all()
     for shared in found[1:]:
         assert torch.equal(shared.pose.matrix(), alone.pose.matrix())
@@ -159,7 +159,7 @@ def test_a_step_where_the_hessian_is_not_positive() -> None:
             hessian = np.full((6, 6), off, np.float32)
             np.fill_diagonal(hessian, diagonal)
             ours = np.empty(6)
-            kernels._solve_step(gradient, hessian, np.full(6, 0.3), FLOOR, ours)
+            kernels._solve_step(gradient, hessian, np.full(6, 0.3), MIN_ADDED, ours)
             theirs = solve_step(
                 torch.tensor(gradient)[None], torch.tensor(hessian)[None], torch.full((6,), 0.3)
             )

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from torch import Tensor
 
 from objconnect.localization.align.aligner import Alignment, align
-from objconnect.localization.align.covariance import covariance, measure_spread
+from objconnect.localization.align.covariance import covariance, measure_uncertainty
 from objconnect.localization.align.linearise import linearise
 from objconnect.localization.align.local_frame import LocalProblem
 from objconnect.localization.align.options import Options
@@ -115,7 +115,7 @@ def test_covers_where_the_query_shows_what_the_map_does_not_know(
     problem, truth, found, shares = cluttered
     assert not found.has_failed.any()
     errors = (found.pose @ truth.inverse()).log()
-    around = measure_spread(problem, found.pose)
+    around = measure_uncertainty(problem, found.pose)
     # Mean slopes of the picture tell how much of the curvature is the place's.
     assert float(around.curvature.mean()) == pytest.approx(shares.mean(), rel=0.4)
     values = nees(errors, around.covariance)
@@ -140,7 +140,7 @@ def test_equals_that_of_gauss_and_newton_where_nothing_is_new() -> None:
         Options(iterations=30, converged_m=1e-3, converged_deg=1e-2),
     )
     found = align(problem)
-    around = measure_spread(problem, found.pose)
+    around = measure_uncertainty(problem, found.pose)
     assert 0.85 < float(around.curvature) <= 1
     ratio = around.covariance.diagonal(dim1=-2, dim2=-1) / found.covariance.diagonal(
         dim1=-2, dim2=-1
@@ -173,7 +173,7 @@ def test_level_is_the_mean_of_the_sandwich_and_known_from_the_patches_that_pull(
     cluttered: tuple[Problem, Pose, Alignment, NDArray[np.float64]],
 ) -> None:
     problem, _, found, _ = cluttered
-    here = measure_spread(problem, found.pose)
+    here = measure_uncertainty(problem, found.pose)
     around = linearise_plainly(problem.starting_at(found.pose), problem.options)
     sandwich = covariance(around) @ around.hessian.double()
     torch.testing.assert_close(
@@ -187,7 +187,7 @@ def test_level_is_the_mean_of_the_sandwich_and_known_from_the_patches_that_pull(
     ]
     scale = 3 * problem.options.robust_scale
     options = replace(problem.options, robust_scale=scale)
-    scaled = measure_spread(replace(problem, levels=levels, options=options), found.pose)
+    scaled = measure_uncertainty(replace(problem, levels=levels, options=options), found.pose)
     torch.testing.assert_close(scaled.scatter_level, 9 * here.scatter_level, rtol=1e-2, atol=0)
     torch.testing.assert_close(scaled.effective_patches, here.effective_patches, rtol=1e-2, atol=0)
 
@@ -212,7 +212,7 @@ def test_nothing_is_known_where_points_are_too_few() -> None:
     cameras = PINHOLE.intrinsics()
     damping = [torch.full((6,), 1e-4)]
     problem = Problem([level], torch.as_tensor(points)[None], cameras, start, damping, Options())
-    around = measure_spread(problem, start)
+    around = measure_uncertainty(problem, start)
     assert around.covariance.diagonal(dim1=-2, dim2=-1).isinf().all()
     assert float(around.curvature) == 0
     assert float(around.scatter_level) == float(around.effective_patches) == 0
@@ -223,7 +223,7 @@ def test_view_cosine_tells_from_what_other_direction_points_were_seen(degrees: f
     made = small()
     pose = Pose(made.truth.rotation[None], made.truth.translation[None])
     problem = Problem(made.levels, made.points, PINHOLE.intrinsics(), pose, DAMPING, Options())
-    assert float(measure_spread(problem, pose).view_cosine) == 1  # not known
+    assert float(measure_uncertainty(problem, pose).view_cosine) == 1  # not known
     centre = pose.centre()[:, None]
     turn = torch.as_tensor(cv2.Rodrigues(np.array([np.radians(degrees), 0, 0]))[0])
     # Twice as far away: only the direction counts.
@@ -236,7 +236,7 @@ def test_view_cosine_tells_from_what_other_direction_points_were_seen(degrees: f
         for level in made.levels
     ]
     seen = replace(problem, levels=levels, points=points, seen_from=seen_from)
-    cosine = float(measure_spread(seen, pose).view_cosine)
+    cosine = float(measure_uncertainty(seen, pose).view_cosine)
     # The turn is about the x axis: a direction along it stays.
     ray = torch.nn.functional.normalize(made.points - centre, dim=-1)
     turned = ray[..., 1:].square().sum(-1)
@@ -268,7 +268,7 @@ def test_informative_cost_is_that_of_the_points_that_tell_the_pose() -> None:
         assert float(shares.sum()) == pytest.approx(1, abs=1e-4)
         expected = (shares * around.cost).sum() / around.mean_cost()
         assert abs(float(expected) - 1) > 0.01
-        assert float(measure_spread(problem, pose).informative_cost) == pytest.approx(
+        assert float(measure_uncertainty(problem, pose).informative_cost) == pytest.approx(
             float(expected), 1e-4
         )
 

@@ -9,7 +9,7 @@ import torch
 from objconnect.localization.align.aligner import Alignment
 from objconnect.localization.align.hypotheses import (
     _MERGE_ITERATIONS,
-    _best,
+    _keep_best,
     align_from_many,
     grid_around,
 )
@@ -73,7 +73,7 @@ def test_many_starts_reach_what_one_does_not() -> None:
     assert not many.has_failed.any()
     assert (many.pose.error_to(everything.truth)[0] < 0.25).all()
     assert (single.pose.error_to(everything.truth)[0] < 0.25).sum() <= len(SEEDS) // 2
-    torch.testing.assert_close(many.by_level[-1].matrix(), many.pose.matrix())
+    torch.testing.assert_close(many.level_poses[-1].matrix(), many.pose.matrix())
 
 
 def test_many_points_in_place_are_worth_more_than_a_few_that_fit_perfectly() -> None:
@@ -84,10 +84,10 @@ def test_many_points_in_place_are_worth_more_than_a_few_that_fit_perfectly() -> 
     ranked = replace(
         found,
         cost=torch.tensor([[0.0, 0.004, 0.001]]).to(found.cost),
-        seen=torch.tensor([[12, 180, 200]]),
+        points_in_view=torch.tensor([[12, 180, 200]]),
         failure=torch.tensor([[0, 0, 1]]),
     )
-    assert _best(ranked, level, scale, 3).seen.tolist() == [[180, 12, 200]]
+    assert _keep_best(ranked, level, scale, 3).points_in_view.tolist() == [[180, 12, 200]]
 
 
 def test_hypotheses_that_have_met_go_on_as_one() -> None:
@@ -132,8 +132,8 @@ def test_the_coarsest_level_looks_at_the_first_points_alone() -> None:
     problem = small(0, (10, 5, 4), 2)
     count = problem.points.shape[1] // 2
     half, whole = (many_from(problem, 3, coarse_points=points) for points in (count, 2 * count))
-    assert not torch.equal(half.by_level[0].matrix(), whole.by_level[0].matrix())
-    assert half.seen.item() > count
+    assert not torch.equal(half.level_poses[0].matrix(), whole.level_poses[0].matrix())
+    assert half.points_in_view.item() > count
     assert float(half.pose.error_to(whole.pose)[0]) < 0.01
 
 

@@ -75,7 +75,7 @@ def search(
     The network sees the same whatever it is asked from: turning the picture is its caller's.
     """
     find = MosaicSearch(mosaic, separation)
-    return find(find.look(lambda _: render_view(mosaic, true), tried), tried, count)
+    return find(find.extract_views(lambda _: render_view(mosaic, true), tried), tried, count)
 
 
 def make_pose(rotation: torch.Tensor, centre: tuple[float, float, float]) -> Pose:
@@ -178,7 +178,7 @@ def test_a_tilted_camera_is_found_between_the_tilts_and_headings_that_are_tried(
     passes = [DOWN @ so3_exp(math.radians(30 * k) * UP) for k in range(12)]
     turns = [math.radians(6 * k) for k in range(-2, 3)]
     flat = Hypotheses(passes, turns, [70.0 * part for part in ALTITUDE_RATIOS])
-    seen = MosaicSearch(mosaic).look(lambda _: render_view(mosaic, true), flat)
+    seen = MosaicSearch(mosaic).extract_views(lambda _: render_view(mosaic, true), flat)
     straight = [off(each.pose, true) for each in MosaicSearch(mosaic)(seen, flat, 16)]
     assert straight and all(metres > 8 or degrees > 10 for metres, degrees in straight)
     tilted = replace(flat, tilts=tilt_rotations([15.0, 30.0, 45.0, 60.0]))

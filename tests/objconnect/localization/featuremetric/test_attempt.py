@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from objconnect.localization.align.aligner import Alignment
-from objconnect.localization.align.covariance import Spread
+from objconnect.localization.align.covariance import PoseUncertainty
 from objconnect.localization.featuremetric.attempt import Attempt, pose_covariance
 from objconnect.localization.featuremetric.calibration import CovarianceModel
 from objconnect.localization.featuremetric.options import SearchOptions
@@ -48,7 +48,7 @@ def attempt(
     covariance = measured * torch.eye(6, dtype=torch.float64)[None]
     view = warp_image(np.zeros((64, 64, 3), np.uint8), CAMERA)
     alignment = Alignment(pose, (pose,), covariance, one, one, one, torch.zeros(1))
-    spread = Spread(
+    uncertainty = PoseUncertainty(
         covariance,
         one,
         DEPTH * one,
@@ -58,7 +58,7 @@ def attempt(
         level * one,
         EQUAL * one,
     )
-    return Attempt(view, alignment, spread, fit, None, 0.0)
+    return Attempt(view, alignment, uncertainty, fit, None, 0.0)
 
 
 def variances(tried: Attempt, options: SearchOptions = OPTIONS) -> NDArray[np.float64]:
@@ -111,4 +111,4 @@ def test_the_fit_that_counts_is_that_of_the_points_that_tell_the_pose() -> None:
 def test_points_that_do_not_tell_the_pose_give_no_covariance() -> None:
     unknown = attempt(float("inf"), 0.5)
     assert pose_covariance(unknown, OPTIONS) is None
-    assert pose_covariance(replace(unknown, spread=None), OPTIONS) is None
+    assert pose_covariance(replace(unknown, uncertainty=None), OPTIONS) is None

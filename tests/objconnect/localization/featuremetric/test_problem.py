@@ -149,7 +149,7 @@ def test_fit_is_the_cost_of_an_alignment_that_takes_no_step() -> None:
     points, still = made.points[:, inside], Options(iterations=0)
     problem = Problem([trusted], points, PINHOLE.intrinsics(), pose, DAMPING[:1], still)
     aligned = align(problem)
-    assert aligned.seen.item() == len(inside)
+    assert aligned.points_in_view.item() == len(inside)
     other = torch.roll(torch.arange(len(inside)), len(inside) // 2)
     swapped = replace(
         trusted,

@@ -14,7 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from objconnect.localization.pipeline.accuracy import combine_accuracies
-from objconnect.localization.pipeline.answers import Geography, Located, encode_files, output_files
+from objconnect.localization.pipeline.answers import (
+    Geography,
+    ImageEstimate,
+    encode_files,
+    output_files,
+)
 from objconnect.localization.pipeline.disagreement import measure_disagreement, warn_of_disagreement
 from objconnect.scene.bundle.georeference import EXACT_GEOREFERENCE as EXACT
 from objconnect.scene.bundle.georeference import Georeference
@@ -31,7 +36,7 @@ CENTRE = np.array([10.0, 20.0, 30.0])
 def row(tmp_path: Path, georeference: Georeference | None) -> dict[str, str]:
     """The row of the table of an answer."""
     files = output_files(tmp_path / "poses.txt", [tmp_path / "poses.geojson"])
-    located = [Located("a.jpg", looking(30, -60, 4), PLACE)]
+    located = [ImageEstimate("a.jpg", looking(30, -60, 4), PLACE)]
     for path, content in encode_files(located, files, Geography(georeference=georeference)):
         path.write_bytes(content)
     (only,) = csv.DictReader((tmp_path / "poses.csv").open(newline=""))
@@ -62,7 +67,7 @@ def test_where_the_place_on_earth_is_unknown_so_is_the_accuracy(tmp_path: Path) 
     assert unknown["eph_m"] == unknown["epv_m"] == ""
     assert float(level["eph_m"]) == pytest.approx(12, abs=1e-2)
     assert level["epv_m"] == ""
-    found = Located("a.jpg", looking(30, -60, 4), PLACE)
+    found = ImageEstimate("a.jpg", looking(30, -60, 4), PLACE)
     assert found.accuracy(Geography(georeference=LEVEL)).covariance is None
     assert combine_accuracies(None, GPS).eph_m is None, "an answer without covariance"
 
@@ -89,11 +94,11 @@ def test_variances_add_up(numbers: list[float], across: float, up: float | None)
 
 def fly(
     offset: tuple[float, float, float], sigma: tuple[float, float, float], count: int = 7
-) -> list[Located]:
+) -> list[ImageEstimate]:
     """Answers, with positions that are wrong by an offset and by decimetres of their own."""
     rng = np.random.default_rng(3)
     return [
-        Located(
+        ImageEstimate(
             f"{k}.jpg",
             looking(30, -60, 4),
             PLACE,
@@ -104,7 +109,9 @@ def fly(
 
 
 def read_warning(
-    caplog: pytest.LogCaptureFixture, located: list[Located], georeference: Georeference | None
+    caplog: pytest.LogCaptureFixture,
+    located: list[ImageEstimate],
+    georeference: Georeference | None,
 ) -> str:
     caplog.clear()
     with caplog.at_level(logging.WARNING):
@@ -137,7 +144,11 @@ def test_heights_that_scatter_are_not_said_to_agree(caplog: pytest.LogCaptureFix
     """Half of them are 40 m too high and half too low: the median is near 0."""
     located = [*fly((0, 0, 40), (3, 3, 5)), *fly((0, 0, -40), (3, 3, 5), 6)]
     found = measure_disagreement(located, Geography(georeference=EXACT))
-    assert found is not None and found.far_up and found.height_error_m == pytest.approx(40, abs=0.2)
+    assert (
+        found is not None
+        and found.is_far_vertically
+        and found.height_error_m == pytest.approx(40, abs=0.2)
+    )
     mixed = [*located[:6], *located[7:], *fly((0, 0, 0.1), (3, 3, 5), 1)]
     assert "40.0 m above or below the GPS positions" in read_warning(caplog, mixed, EXACT)
 
@@ -169,8 +180,8 @@ def test_a_map_without_a_known_place_on_earth_says_how_far_gps_is(
 
 def test_photographs_without_answer_or_position_do_not_count() -> None:
     located = fly((90, -66, 1), (10, 10, 10))
-    lost = Located("l.jpg", Estimate(Status.FAILED), None, gps=located[0].gps)
-    without = Located("w.jpg", looking(30, -60, 4), PLACE)
+    lost = ImageEstimate("l.jpg", Estimate(Status.FAILED), None, gps=located[0].gps)
+    without = ImageEstimate("w.jpg", looking(30, -60, 4), PLACE)
     found = measure_disagreement([*located, lost, without], Geography())
     assert found is not None and found.photographs == 7
     assert measure_disagreement([lost, without], Geography()) is None

@@ -17,7 +17,12 @@ from hypothesis import strategies as st
 
 import objconnect.methods
 from objconnect.ingestion.attitude import gimbal_angles, gimbal_pose
-from objconnect.localization.pipeline.answers import Geography, Located, encode_files, output_files
+from objconnect.localization.pipeline.answers import (
+    Geography,
+    ImageEstimate,
+    encode_files,
+    output_files,
+)
 from objconnect.scene.bundle.georeference import EXACT_GEOREFERENCE as EXACT
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic
@@ -42,7 +47,7 @@ def looking(yaw: float, pitch: float, roll: float, covariance: bool = True) -> E
     return Estimate(Status.OK, pose, known, inliers=40, by=By.ALIGNMENT)
 
 
-def write(located: list[Located], out: Path, undulation: float | None = None) -> None:
+def write(located: list[ImageEstimate], out: Path, undulation: float | None = None) -> None:
     files = output_files(out / "poses.txt", [out / "poses.geojson", out / "poses.kml"])
     for path, content in encode_files(located, files, Geography(undulation, None, EXACT)):
         path.write_bytes(content)
@@ -82,9 +87,9 @@ def test_the_covariance_is_that_of_centres_and_attitudes() -> None:
 def test_every_format_says_the_same(tmp_path: Path) -> None:
     time = datetime(2026, 1, 2, 3, 4, 5, 678_000)
     located = [
-        Located("a b.jpg", looking(30, -60, 4), PLACE, time),
-        Located("<c>.jpg", looking(0, -90, 0), PLACE._replace(longitude=8.3)),
-        Located("d.jpg", Estimate(Status.FAILED, reason="too dark"), None),
+        ImageEstimate("a b.jpg", looking(30, -60, 4), PLACE, time),
+        ImageEstimate("<c>.jpg", looking(0, -90, 0), PLACE._replace(longitude=8.3)),
+        ImageEstimate("d.jpg", Estimate(Status.FAILED, reason="too dark"), None),
     ]
     write(located, tmp_path, 48.5)
     rows = list(csv.DictReader((tmp_path / "poses.csv").open(newline="")))
@@ -122,7 +127,7 @@ def test_every_format_says_the_same(tmp_path: Path) -> None:
 
 
 def test_without_the_geoid_marks_lie_on_the_ground(tmp_path: Path) -> None:
-    write([Located("a.jpg", looking(0, -90, 0, covariance=False), PLACE)], tmp_path)
+    write([ImageEstimate("a.jpg", looking(0, -90, 0, covariance=False), PLACE)], tmp_path)
     assert "<altitudeMode>clampToGround<" in (tmp_path / "poses.kml").read_text()
     (row,) = csv.DictReader((tmp_path / "poses.csv").open(newline=""))
     assert row["sea_level_m"] == row["covariance"] == row["eph_m"] == row["time"] == ""

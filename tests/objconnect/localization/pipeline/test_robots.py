@@ -15,7 +15,12 @@ import numpy as np
 import pytest
 
 import objconnect.methods
-from objconnect.localization.pipeline.answers import Geography, Located, encode_files, output_files
+from objconnect.localization.pipeline.answers import (
+    Geography,
+    ImageEstimate,
+    encode_files,
+    output_files,
+)
 from objconnect.scene.bundle.georeference import EXACT_GEOREFERENCE as EXACT
 from objconnect.scene.bundle.georeference import Georeference
 from objconnect.scene.geo.crs import Projection, geoid_undulation
@@ -39,13 +44,13 @@ TIMES = [datetime(2026, 1, 2, 3, 4, 5, 678_000, UTC), datetime(2026, 1, 2, 3, 4,
 SECONDS = 1767323045.678  # of the first, by `date -u -d 2026-01-02T03:04:05.678 +%s.%3N`
 
 
-def locate() -> list[Located]:
+def locate() -> list[ImageEstimate]:
     return [
-        Located("b.jpg", looking(YAW, PITCH, ROLL), PLACE, TIMES[0]),
-        Located("a.jpg", looking(0, -90, 0, covariance=False), PLACE, TIMES[1]),
-        Located("no time.jpg", looking(0, -90, 0), PLACE),
-        Located("lost.jpg", Estimate(Status.FAILED, reason="too dark"), None, TIMES[0]),
-        Located("fallback.jpg", Estimate(Status.FALLBACK, pose_at(0)), PLACE, TIMES[0]),
+        ImageEstimate("b.jpg", looking(YAW, PITCH, ROLL), PLACE, TIMES[0]),
+        ImageEstimate("a.jpg", looking(0, -90, 0, covariance=False), PLACE, TIMES[1]),
+        ImageEstimate("no time.jpg", looking(0, -90, 0), PLACE),
+        ImageEstimate("lost.jpg", Estimate(Status.FAILED, reason="too dark"), None, TIMES[0]),
+        ImageEstimate("fallback.jpg", Estimate(Status.FALLBACK, pose_at(0)), PLACE, TIMES[0]),
     ]
 
 

@@ -85,7 +85,7 @@ def test_one_search_then_the_motion_is_the_prior() -> None:
     estimates, localizer, tracker = run(lambda query: make_estimate(pose_at(frame_of(query))))
 
     assert [e.status for e in estimates] == [Status.OK] * 12
-    assert tracker.searched == 1 and len(localizer.seen) == 12
+    assert tracker.search_count == 1 and len(localizer.seen) == 12
     assert localizer.seen[0].prior is None
     for query in localizer.seen[6:]:
         truth = pose_at(frame_of(query))
@@ -106,7 +106,7 @@ def test_a_false_answer_beside_the_prediction_is_checked_and_mended() -> None:
         return make_estimate(pose_at(frame_of(query), aside))
 
     estimates, _, tracker = run(answer)
-    assert tracker.searched == 2
+    assert tracker.search_count == 2
     for frame, estimate in enumerate(estimates):
         assert estimate.cam_from_world is not None
         assert float(estimate.cam_from_world.error_to(pose_at(frame))[0]) < 1e-9
@@ -121,7 +121,7 @@ def test_a_track_that_contradicts_the_motion_is_localized_as_any_image_near_its_
         return replace(make_estimate(pose_at(frame_of(query), aside)), by=by)
 
     estimates, localizer, tracker = run(answer)
-    assert tracker.searched == 1
+    assert tracker.search_count == 1
     assert [query.tracked for query in localizer.seen if frame_of(query) == 8] == [True, False]
     assert [query.tracked for query in localizer.seen if frame_of(query) == 7] == [True]
     pose = estimates[8].cam_from_world
@@ -150,7 +150,7 @@ def test_a_real_jump_is_believed_when_both_find_it() -> None:
 
     estimates, _, tracker = run(answer)
     assert all(e.status is Status.OK for e in estimates)
-    assert tracker.searched == 2
+    assert tracker.search_count == 2
 
 
 def test_a_false_first_answer_does_not_keep_the_right_ones_out() -> None:
@@ -197,7 +197,7 @@ def test_what_the_aircraft_knows_is_where_a_search_begins() -> None:
         return NOTHING if told else make_estimate(pose_at(frame_of(query)))
 
     estimates, localizer, tracker = run(answer, frames=4, telemetry=telemetry)
-    assert all(e.status is Status.OK for e in estimates) and tracker.searched == 1
+    assert all(e.status is Status.OK for e in estimates) and tracker.search_count == 1
     # The search is tried with the attitude, then without.
     assert [q.prior.cam_from_world_rotation is None for q in localizer.seen[:2] if q.prior] == [
         False,

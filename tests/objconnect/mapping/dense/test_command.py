@@ -16,7 +16,7 @@ import torch
 from objconnect.mapping.dense.command import DENSE, KEY_FILE, UNFINISHED, _resumable, dense
 from objconnect.mapping.dense.options import DenseOptions
 from objconnect.mapping.dense.report import DenseReport
-from objconnect.mapping.dense.sources import choose_sources, seeds_in
+from objconnect.mapping.dense.sources import choose_sources, find_seeds
 from objconnect.mapping.dense.undistort import pinhole_of, undistort_map, write_undistorted
 from objconnect.mapping.dense.workspace import Workspace
 from objconnect.scene.bundle.scene import Scene
@@ -178,7 +178,7 @@ def test_a_photograph_that_changed_is_looked_at_again(
 def test_sources_cover_the_picture(rendered: Scene) -> None:
     sparse_map = straighten(rendered)
     name = sparse_map.names[5]
-    seeds = seeds_in(sparse_map, name)
+    seeds = find_seeds(sparse_map, name)
     w, h = sparse_map.images[name].camera.width, sparse_map.images[name].camera.height
     assert len(seeds) > 20
     assert (seeds >= 0).all()
@@ -209,7 +209,7 @@ def test_added_points_are_seeds_too(rendered: Scene) -> None:
         np.append(sparse_map.error, 0),
         np.append(sparse_map.track_length, 0),
     )
-    before, after = seeds_in(sparse_map, name), seeds_in(more, name)
+    before, after = find_seeds(sparse_map, name), find_seeds(more, name)
     assert len(after) == len(before) + 1
     assert np.allclose(after[-1], [*image.camera.principal, 1 / 70])
 
