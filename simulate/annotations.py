@@ -44,11 +44,13 @@ def _depths(scene: Scene) -> Iterator[NDArray[np.float32]]:
 
 
 def pixel_digests(scene: Scene) -> dict[str, dict[str, str]]:
-    """Return the SHA-256 of the pixels of every frame: of its "image", of each layer and of
-    "thermal", the counts of 16 bits of a session that has them.
+    """Return the SHA-256 digests of the arrays of every frame, by the frame's name.
 
-    Compressed files differ between versions of libraries; pixels do not. The digest is that of the
-    array's bytes, row by row, little-endian.
+    The keys of a frame are "image", its layers and, in thermal sessions, "thermal" for the 16-bit
+    counts.
+
+    Compressed files differ between versions of libraries; pixels do not. A digest is computed over
+    an array's bytes, row by row, little-endian.
 
     Raises:
         InputError: a photograph or a layer is damaged.

@@ -44,8 +44,8 @@ BOARD = Board(columns=7, rows=5, square_m=0.1)
 _SAMPLES = 64  # samples per pixel; corners need exact edges
 _TRIES = 400  # attempts to draw a pose that shows the whole board
 _BORDER_PX = 4.0  # least distance of the board from the border of the picture
-# Tilts of the board. Frontal views do not determine the focal length. With these tilts, 20 views of
-# 320 x 240 and the measured noise give it within 0.044 % (one sigma); 10 to 40 degrees, 0.059 %.
+# Tilts of the board. Frontal views do not determine the focal length. With 20 views of 320 x 240
+# and the measured noise, these tilts give 0.044 % (one sigma), and 10 to 40 degrees 0.059 %.
 _TILT_DEG = (20.0, 50.0)
 # Half sides of the windows of corner refinement, relative to the spacing of corners. In a picture a
 # window must contain a single corner; in the frontal view a wider window averages more noise.
@@ -197,7 +197,7 @@ def board_pose(camera: Camera, board: Board, rng: np.random.Generator) -> Array:
     side = board.square_m
     x = side * np.linspace(-1.5, board.columns + 0.5, 5)
     y = side * np.linspace(-1.5, board.rows + 0.5, 5)
-    outline = np.array([[a, b, 0.0] for a in x for b in y])  # with half a square of the margin
+    outline = np.array([[a, b, 0.0] for a in x for b in y])  # includes half a square of margin
     centre = np.array([x.mean(), y.mean(), 0.0])
     size = np.array([camera.width, camera.height])
     for _ in range(_TRIES):
@@ -223,7 +223,7 @@ def board_pose(camera: Camera, board: Board, rng: np.random.Generator) -> Array:
 def find_corners(picture: NDArray[np.uint8], board: Board) -> Array | None:
     """Detect the inner corners (rows * columns, 2) of a chessboard in a picture (H, W, 3).
 
-    They are in COLMAP pixels and in the order of ``board_points``; None without a detection.
+    Corners are COLMAP pixels in the order of ``board_points``; the result is None without a board.
     """
     grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
     found, corners = cv2.findChessboardCornersSB(
@@ -236,7 +236,7 @@ def find_corners(picture: NDArray[np.uint8], board: Board) -> Array | None:
     window = max(2, int(_WINDOW_SHARE * spacing))
     corners = cv2.cornerSubPix(grey, corners, (window, window), (-1, -1), _REFINE_STOP)
     grid = corners.reshape(board.rows, board.columns, 2).astype(np.float64)
-    # Boards roll little, so the first corner is the upper left.
+    # Boards roll by at most 15 degrees, so the first corner is the upper left.
     if grid[0, 0].sum() > grid[-1, -1].sum():
         grid = grid[::-1, ::-1]
     return np.asarray(grid.reshape(-1, 2) + 0.5)

@@ -219,11 +219,11 @@ def render_job(
     session: SessionConfig,
     poses: NDArray[np.float64],
     first_new_id: int = 0,
-    prepared: Path | None = None,
+    site_path: Path | None = None,
 ) -> RenderJob:
     """Return the render job of a session with poses (N, 4, 4) for frames 0 to N - 1.
 
-    ``first_new_id`` is the first id of added objects, ``prepared`` the file of a site's place.
+    ``first_new_id`` is the first id of added objects, ``site_path`` the file of a site's place.
     """
     pinhole, lens = split_lens(config.photo_camera(session))
     travel = config.sensor.readout_s * velocities(poses, config.interval_s)
@@ -235,7 +235,7 @@ def render_job(
         origin=config.origin,
         change=session.world_change,
         first_new_id=first_new_id,
-        prepared=prepared,
+        site_path=site_path,
         camera=pinhole,
         lens=lens,
         samples=config.spp,

@@ -43,20 +43,20 @@ context, the number of frames (None where the flight determines it) and a random
 
 
 def session_generator(config: SimulateConfig, index: int) -> np.random.Generator:
-    """Return the random generator of a session: its course, its wind and the noise of its priors.
+    """Return the generator that draws a session's course, its wind and the noise of its priors.
 
-    Each session has its own, so that adding a session does not change others.
+    Each session has its own generator, so that adding a session does not change others.
 
     Args:
         config: The configuration of the scene.
-        index: The number of the session in the configuration.
+        index: The index of the session in the configuration, from 0.
     """
     preset = config.preset if config.courses == "own" else ""
     return course_generator(config.seed, index, preset)
 
 
 def check_plans(config: SimulateConfig) -> None:
-    """Check that the mission plans of all sessions can be read: building a place takes long.
+    """Check that the mission plans of all sessions can be read, before a place is built slowly.
 
     Raises:
         InputError: A plan cannot be read, or has changed since the scene was configured.
@@ -101,7 +101,7 @@ def plan_session(
         is_free=partial(is_free, world=world),
         origin=config.origin,
     )
-    frames = None if flight.counts_photographs else session.frames or config.frames
+    frames = None if flight.determines_frames else session.frames or config.frames
     return PLANNERS[type(flight)](flight, context, frames, rng)
 
 

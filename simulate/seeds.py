@@ -30,7 +30,7 @@ def course_generator(seed: int, index: int, preset: str) -> np.random.Generator:
 
     Args:
         seed: seed of the scene.
-        index: number of the session in the configuration.
+        index: index of the session in the configuration, from 0.
         preset: preset of the place; empty if all presets of one seed have the same flights.
     """
     return _generator(seed, index, *preset.encode())
@@ -39,7 +39,7 @@ def course_generator(seed: int, index: int, preset: str) -> np.random.Generator:
 def change_generator(seed: int, index: int, preset: str) -> np.random.Generator:
     """Return the generator that decides whether the objects of a session are changed.
 
-    They are changed (``SessionConfig.change``) with probability ``change_share``.
+    The objects are changed (``SessionConfig.change``) with probability ``change_share``.
     """
     return _generator(seed, index, _CHANGE, *preset.encode())
 

@@ -15,7 +15,7 @@ def parse_session(text: str, first: bool) -> dict[str, object]:
 
     Args:
         text: the words.
-        first: whether it is the first of a scene, which builds the map.
+        first: whether the session is the first of a scene, whose default role is "map".
 
     Raises:
         ValueError: the words are not a session.

@@ -174,7 +174,7 @@ def _check_plan(render_config: SimulateConfig, config: ForecastConfig) -> None:
                 f"{int(is_outside.sum()) - 1} more lie outside the map's square of "
                 f"{area:.0f} m: plan inside it, or map more"
             )
-    elif flight.counts_photographs:
+    elif flight.determines_frames:
         return
     if count > _MOST_WAYPOINTS:
         views = count * config.views * len(config.seasons)

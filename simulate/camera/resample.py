@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Cast = Callable[[int, Array], Array]
 """A function that casts rays (M, 2), x/z and y/z in the camera frame, at the object with an id.
 
-Id 0 is the ground. It returns the planar depths (M,) of the first hits, infinite where rays miss.
+Id 0 is the ground. The result is the planar depth (M,) of each first hit, infinite if a ray misses.
 """
 
 # Interpolated inverse depth is exact on a plane. Where it deviates by more than this (metres of
@@ -178,7 +178,7 @@ def _surface(
             closer = hit < best[rows]
             best[rows[closer]] = hit[closer]
             best_id[rows[closer]] = object_id
-    # A ray between leaves may miss all candidates; it takes the nearest pixel.
+    # A ray between leaves may miss all candidates. Its depth and id are those of the nearest pixel.
     nearest = tuple(np.floor(xy[rough]).astype(np.intp).T[::-1])
     missed = ~np.isfinite(best)
     z[rough] = np.where(missed, depth[nearest], best)

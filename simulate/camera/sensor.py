@@ -18,7 +18,7 @@ from objconnect.scene.config import Config
 
 _BLUR_SAMPLES_PER_PX = 4
 # Largest factors of exposure time and gain: from 1/1600 s to 1/32 s, and from ISO 100 to 3200.
-_MAX_LONGER, _MAX_GAIN = 50.0, 32.0
+_MAX_TIME_FACTOR, _MAX_GAIN = 50.0, 32.0
 
 
 class SensorConfig(Config):
@@ -90,10 +90,10 @@ class SensorConfig(Config):
         """
         if not self.follows_light:
             return self
-        longer = min(2.0**dimness, _MAX_LONGER)
-        gain = min(2.0**dimness / longer, _MAX_GAIN)
+        time_factor = min(2.0**dimness, _MAX_TIME_FACTOR)
+        gain = min(2.0**dimness / time_factor, _MAX_GAIN)
         well = None if self.full_well_e is None else self.full_well_e / gain
-        changed = {"motion_blur_px": self.motion_blur_px * longer, "full_well_e": well}
+        changed = {"motion_blur_px": self.motion_blur_px * time_factor, "full_well_e": well}
         return self.model_copy(update=changed)
 
 
@@ -108,7 +108,7 @@ def expose(
     # The order of the draws is fixed, and the noise comes last.
     stops, red, blue = rng.standard_normal(3)
     direction, length = rng.uniform(0, np.pi), abs(rng.standard_normal())
-    applied_elsewhere = {"readout_s": 0.0, "follows_light": False}
+    applied_elsewhere = {"readout_s": 0.0, "follows_light": False}  # by the renderer and ``adapt``
     if sensor.model_copy(update=applied_elsewhere) == SensorConfig():
         return rgb
     light = _linear(rgb)

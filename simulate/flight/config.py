@@ -63,7 +63,7 @@ QUERY_PLAN = FlightPlan(
 
 
 def draw_plan(plan: FlightPlan, rng: np.random.Generator) -> FlightPlan:
-    """Draw the defaults of one flight: any heading, and lengths within 15 % of those of the role.
+    """Draw the defaults of one flight: any heading, and lengths within 15 % of the role's lengths.
 
     Args:
         plan: The defaults of the role.
@@ -81,7 +81,7 @@ class _Flight(Config):
     model_config = ConfigDict(allow_inf_nan=False)
 
     @property
-    def counts_photographs(self) -> bool:
+    def determines_frames(self) -> bool:
         """Return whether the flight itself determines its number of photographs."""
         return False
 
@@ -108,7 +108,7 @@ class _Survey(_Flight):
     )
     terrain_following: bool = Field(
         True,
-        description="Whether the altitude is kept above the ground below. Otherwise the flight is "
+        description="Whether the flight keeps its altitude above the ground below. Otherwise it is "
         "level, and its altitude is above the ground at the centre of the area, or at the start of "
         "a corridor.",
     )
@@ -120,7 +120,7 @@ class _Survey(_Flight):
         return self
 
     @property
-    def counts_photographs(self) -> bool:
+    def determines_frames(self) -> bool:
         return self.forward_overlap is not None or self.side_overlap is not None
 
     @property
@@ -269,7 +269,7 @@ class PlanFlight(_Flight):
         return _add_digest(values, "file", plan_digest)
 
     @property
-    def counts_photographs(self) -> bool:
+    def determines_frames(self) -> bool:
         return True
 
 
@@ -289,7 +289,7 @@ class FlownFlight(_Flight):
         return _add_digest(values, "scene", scene_digest)
 
     @property
-    def counts_photographs(self) -> bool:
+    def determines_frames(self) -> bool:
         return True
 
 

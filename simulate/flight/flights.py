@@ -148,7 +148,7 @@ class _Lines(NamedTuple):
 
     Attributes:
         offset: Distance (K,) of each line to the right of the origin, metres.
-        start: Where each line begins (K,), metres along it from its point nearest to the origin.
+        start: Position (K,) at which each line begins, metres from its point nearest to the origin.
         length: Length (K,) of each line, metres.
         spacing_m: The longest step (m) between exposures on a line that the overlap allows.
     """

@@ -74,8 +74,8 @@ def gimbal_poses(
 def velocities(cam_from_world: ArrayLike, interval_s: float) -> Array:
     """Return velocities (N, 3) in metres per second of poses (N, 4, 4) taken at equal intervals.
 
-    They are central differences of the positions, one-sided at both ends, and zero for a single
-    pose.
+    Velocities are central differences of the positions, one-sided at both ends, and zero for a
+    single pose.
     """
     centres = camera_centres(cam_from_world)
     if len(centres) < 2:

@@ -46,7 +46,7 @@ from simulate.flight.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
-_SAME_M = _SAME_S = 1e-6  # distances and times that differ by less count as equal
+_SAME_M = _SAME_S = 1e-6  # tolerance of distances (m) and times (s)
 _AT_HOME_M = 1.0  # a takeoff within this horizontal distance of home has no position of its own
 
 
@@ -162,7 +162,7 @@ class Aircraft:
                     )
                 mode = ROI_LOCATION if self._vehicle.is_ardupilot else ROI_NONE
         if mode == ROI_LOCATION and not has_location and self._vehicle.is_ardupilot:
-            mode = ROI_NONE  # cancels in ArduPilot
+            mode = ROI_NONE  # ArduPilot cancels the region
         self._turning_s = 0.0
         if mode == ROI_LOCATION:
             self._gimbal.look_at(Region(self._positions.position_of(command)))
@@ -188,7 +188,7 @@ class Aircraft:
         self._nose = self._held_nose = angle
 
     def _navigate(self, goal: Command, waiting: list[Command]) -> None:
-        """Execute a navigation command, and the commands ``waiting`` on the way."""
+        """Execute a navigation command; on the way, the conditions and commands in ``waiting``."""
         hovers = goal.command == Mav.LOITER_TIME and not self._vehicle.flies_forward
         if goal.command == Mav.WAYPOINT or hovers:
             if goal.command == Mav.WAYPOINT:

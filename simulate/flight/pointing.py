@@ -44,7 +44,7 @@ class Angles:
 
 @dataclass(frozen=True)
 class Region:
-    """A point (3,) in world metres at which the camera looks."""
+    """A region of interest: a point (3,) in world metres at which the camera looks."""
 
     point: Array
 
@@ -76,24 +76,27 @@ class Gimbal:
     """
 
     def __init__(self, pitch_deg: float) -> None:
-        """Point the camera along the nose at a pitch, to which it returns after a region."""
+        """Point the camera along the nose at a pitch, to which it returns after a region.
+
+        A region is a region of interest.
+        """
         self._default = Angles(math.radians(pitch_deg))
         self.aim: Aim = self._default
         self.turning_s = 0.0
         self._yaw_input = _FROM_NOSE
-        self._before: Aim = self._default
+        self._angles_before: Aim = self._default  # the aim before a region of interest
 
     def look_at(self, aim: Aim) -> None:
         """Look at a region, or towards waypoints, until another command."""
         if isinstance(self.aim, Angles):
-            self._before = self.aim
+            self._angles_before = self.aim
         self.aim, self.turning_s = aim, 0.0
 
     def cancel(self) -> bool:
         """Return to the default angles after a region; return whether the plan had set others."""
-        had_others = self._before != self._default
+        had_others = self._angles_before != self._default
         if isinstance(self.aim, Region | TowardsNext):
-            self.aim, self._before = self._default, self._default
+            self.aim, self._angles_before = self._default, self._default
             return had_others
         return False
 
@@ -225,9 +228,9 @@ def _require_level(command: Command, index: int) -> None:
         )
 
 
-def _require_degrees(command: Command, most: dict[int, float]) -> None:
-    """Require that the absolute values of angles, by parameter, do not exceed a maximum."""
-    for index, degrees in most.items():
+def _require_degrees(command: Command, max_degrees: dict[int, float]) -> None:
+    """Require that the absolute angles do not exceed their maxima, by index of the parameter."""
+    for index, degrees in max_degrees.items():
         angle = command.params[index]
         if angle is not None and abs(angle) > degrees:
             raise command.error(

@@ -21,7 +21,7 @@ _MISSION_FRAME = 2  # MAV_FRAME_MISSION
 class Positions:
     """Converts positions of commands to world metres (3,).
 
-    Heights above home are above the ground there. Where the geoid is unknown, heights above sea
+    Heights above home are above the ground at home. If the geoid is unknown, heights above sea
     level are treated as ellipsoidal.
 
     Attributes:
@@ -45,8 +45,8 @@ class Positions:
         """Return the height of the ground at a position, world metres."""
         return float(self._height_at(position[:1], position[1:2])[0])
 
-    def target(self, goal: Command | None, at: Array) -> Array | None:
-        """Return the target (3,) of a command that begins at ``at`` (3,); None if it is unknown.
+    def target(self, goal: Command | None, start: Array) -> Array | None:
+        """Return the target (3,) of a command that begins at ``start`` (3,); None if unknown.
 
         Raises:
             InputError: The position is invalid, or its height has no reference.
@@ -55,11 +55,11 @@ class Positions:
             return None
         has_no_location = not goal.params[4] and not goal.params[5]
         if goal.command in LANDINGS:
-            target = at.copy() if has_no_location else self._convert(goal, 0.0, Above.HOME)
+            target = start.copy() if has_no_location else self._convert(goal, 0.0, Above.HOME)
             target[2] = self.ground(target)
             return target
         if has_no_location and goal.command in (Mav.TAKEOFF, Mav.VTOL_TAKEOFF, Mav.LOITER_TO_ALT):
-            return self._move_to_height(at, goal.number(6, "altitude"), goal.height_reference())
+            return self._move_to_height(start, goal.number(6, "altitude"), goal.height_reference())
         return self.position_of(goal)
 
     def position_of(self, command: Command) -> Array:
@@ -109,10 +109,13 @@ class Positions:
         position = enu_from_geodetic(Geodetic(latitude, longitude, altitude), self._origin)
         return position if above is Above.SEA else self._move_to_height(position, height, above)
 
-    def _move_to_height(self, at: Array, height: float, above: Above) -> Array:
-        """Return a position at a height above a reference; the earth's curvature is neglected."""
+    def _move_to_height(self, position: Array, height: float, above: Above) -> Array:
+        """Return a position moved to a height above a reference.
+
+        The earth's curvature is neglected.
+        """
         if above is Above.SEA:
             up = height + (self._geoid_m or 0.0) - self._origin.altitude
         else:
-            up = height + (self.home[2] if above is Above.HOME else self.ground(at))
-        return np.array([at[0], at[1], up])
+            up = height + (self.home[2] if above is Above.HOME else self.ground(position))
+        return np.array([position[0], position[1], up])

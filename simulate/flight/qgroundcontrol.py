@@ -192,8 +192,8 @@ def _parse_structure_scan(item: _ComplexItem, where: str) -> StructureScan:
     camera = calculated if isinstance(calculated, dict) else {}
     lengths = {
         "distance_m": "DistanceToSurface",
-        "along_m": "AdjustedFootprintSide",
-        "layer_m": "AdjustedFootprintFrontal",
+        "photograph_spacing_m": "AdjustedFootprintSide",
+        "layer_spacing_m": "AdjustedFootprintFrontal",
     }
     try:
         known = {name: camera[key] for name, key in lengths.items() if key in camera}
@@ -208,7 +208,7 @@ def _parse_structure_scan(item: _ComplexItem, where: str) -> StructureScan:
 
 
 def _landing(item: _ComplexItem, where: str) -> Iterator[Command]:
-    """Yield the commands of a landing pattern; it may stop the camera first."""
+    """Yield the commands of a landing pattern, which may stop the camera first."""
     nothing = (0.0,) * 7
     if item.stops_photographs:
         for stop in (Mav.TRIGGER_DISTANCE, Mav.STOP_CAPTURE):
@@ -258,7 +258,7 @@ def _intervals(
     if transects.hovers:
         return None if turn_points else {}
     inner = len(item.polyline) if item.kind.lower() == "corridorscan" else 2
-    # Points of each transect, and of all.
+    # Number of points of each transect, and of all transects.
     per_transect, count = inner + 2 * turn_points, len(transects.points)
     if item.kind.lower() not in ("survey", "corridorscan") or inner < 2 or count % per_transect:
         return None

@@ -18,8 +18,8 @@ def read_flown_poses(flight: FlownFlight, context: FlightContext) -> Array:
     """Return the poses ``cam_from_world`` (N, 4, 4) of a scene's photographs, in their order.
 
     Raises:
-        InputError: The scene is not finished, has changed, has another origin, or has no such
-            photographs.
+        InputError: The scene is not finished, has changed, has another origin, or has no
+            photographs of the chosen role.
     """
     scene = Scene.open(flight.scene)
     if scene_digest(flight.scene) != flight.sha256:

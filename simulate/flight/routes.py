@@ -1,6 +1,6 @@
 """Plan corridors, free flights and drives along streets.
 
-The functions return ``simulate.flight.gimbal.Aims``, exposures without wind.
+The functions return planned exposures, ``simulate.flight.gimbal.Aims``. Wind is not included.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _FREE_ALTITUDES = 0.7, 1.1
 _PERIODS = np.array([[0.6, 1.2], [1.2, 2.5], [2.5, 4.0]])
 
 
-def offset_line(line: Array, at_m: Array, right_m: Array | float) -> tuple[Array, Array]:
+def offset_line(line: Array, arc_m: Array, right_m: Array | float) -> tuple[Array, Array]:
     """Return points and directions of travel at an offset from a polyline.
 
     Directions turn smoothly between corners, so that parallel lines neither cross nor separate. No
@@ -39,7 +39,7 @@ def offset_line(line: Array, at_m: Array, right_m: Array | float) -> tuple[Array
 
     Args:
         line: Points (K, 2) of the line, metres.
-        at_m: Arc lengths (N,) on the line, metres.
+        arc_m: Arc lengths (N,) on the line, metres.
         right_m: Offset to the right of the direction of travel, metres, (N,) or one for all.
 
     Returns:
@@ -65,7 +65,7 @@ def offset_line(line: Array, at_m: Array, right_m: Array | float) -> tuple[Array
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     start = np.concatenate([[0.0], np.cumsum(length)])
     point, ahead = (
-        np.column_stack([np.interp(at_m, start, values[:, k]) for k in (0, 1)])
+        np.column_stack([np.interp(arc_m, start, values[:, k]) for k in (0, 1)])
         for values in (line, tangent)
     )
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
@@ -172,8 +172,8 @@ def street_aims(flight: StreetFlight, context: FlightContext, frames: int) -> Ai
     candidates = [np.empty((0, 4))]
     for line, width_m in _driven_roads(flight, context):
         right_m = 0.25 * width_m + flight.offset_m
-        at_m = np.arange(0.0, polyline_length(line), _STREET_STEP_M)
-        xy, heading = offset_line(line, at_m, right_m)
+        arc_m = np.arange(0.0, polyline_length(line), _STREET_STEP_M)
+        xy, heading = offset_line(line, arc_m, right_m)
         z = context.ground_height(xy[:, 0], xy[:, 1]) + flight.height_m
         candidates.append(np.column_stack([xy, z, heading]))
     positions = np.concatenate(candidates)
@@ -250,7 +250,7 @@ def _longest_road(context: FlightContext) -> Array:
 
 
 def _part_inside(road: Road, side_m: float) -> Array:
-    """Return equidistant points (N, 2) of a road between its first and last inside the place."""
+    """Return equidistant points (N, 2) of a road, from its first to its last inside the place."""
     points, _ = polyline_points(road.line, np.arange(0.0, polyline_length(road.line), _ROAD_STEP_M))
     inside = np.flatnonzero((np.abs(points) <= 0.5 * side_m).all(1))
     return points[inside[0] : inside[-1] + 1] if len(inside) else points[:0]

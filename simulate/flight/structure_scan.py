@@ -1,4 +1,4 @@
-"""Structure scans of QGroundControl: layers of a flight around a polygon, looking inwards.
+"""Structure scans of QGroundControl: flights around a polygon in layers, looking inwards.
 
 QGroundControl saves a scan of version 3 without commands and generates them from its fields: the
 aircraft flies around the polygon at ``DistanceToSurface``, at one height in each layer. The spacing
@@ -45,8 +45,8 @@ class StructureScan(BaseModel):
         pitch_deg: Pitch of the camera, degrees.
         from_top: Whether the first layer is the highest.
         distance_m: Distance of the flight from the polygon, metres.
-        along_m: Distance between photographs, metres.
-        layer_m: Distance between layers, metres.
+        photograph_spacing_m: Distance between photographs, metres.
+        layer_spacing_m: Distance between layers, metres.
     """
 
     model_config = ConfigDict(extra="ignore", allow_inf_nan=False, frozen=True)
@@ -60,8 +60,8 @@ class StructureScan(BaseModel):
     pitch_deg: float = Field(alias="GimbalPitch")
     from_top: bool = Field(alias="StartFromTop")
     distance_m: _Length
-    along_m: _Length
-    layer_m: _Length
+    photograph_spacing_m: _Length
+    layer_spacing_m: _Length
 
     def commands(self, where: str) -> Iterator[Command]:
         """Yield the commands of the scan, as QGroundControl generates them.
@@ -74,14 +74,14 @@ class StructureScan(BaseModel):
         """
         self._check(where)
         corners = [(float(lat), float(lon)) for lat, lon in self._flight_corners(where)]
-        step = -self.layer_m if self.from_top else self.layer_m
+        step = -self.layer_spacing_m if self.from_top else self.layer_spacing_m
         height = (self.top_m if self.from_top else self.bottom_m) + step / 2
         look = (0.0, 0.0, 0.0, 0.0, self.pitch_deg, 0.0, _TO_THE_RIGHT_DEG)
         yield _waypoint(corners[0], self.entrance_m, where)
         yield Command(command=Mav.ROI_NEXT, params=look, where=where)
         for _ in range(int(self.layers)):
             yield _waypoint(corners[0], height, where)
-            yield _trigger(self.along_m, where)
+            yield _trigger(self.photograph_spacing_m, where)
             for corner in (*corners[1:], corners[0]):
                 yield _waypoint(corner, height, where)
             yield _trigger(0.0, where)
@@ -99,7 +99,7 @@ class StructureScan(BaseModel):
             raise InputError(
                 f"{where} has {self.layers:g} Layers: set a whole number from 1 to {_MOST_LAYERS}"
             )
-        exact_layers = max(self.top_m - self.bottom_m, 0.0) / self.layer_m
+        exact_layers = max(self.top_m - self.bottom_m, 0.0) / self.layer_spacing_m
         if self.layers not in [max(math.ceil(exact_layers + off), 1) for off in (-_ROUNDING, 0.0)]:
             raise InputError(
                 f"{where} has {self.layers:g} Layers, but StructureHeight, ScanBottomAlt and "
@@ -154,7 +154,7 @@ def _waypoint(corner: tuple[float, float], height: float, where: str) -> Command
     return Command(command=Mav.WAYPOINT, frame=_ABOVE_HOME, params=params, where=where)
 
 
-def _trigger(every_m: float, where: str) -> Command:
-    at_once = 1.0 if every_m else 0.0
-    params = (every_m, 0.0, at_once, 0.0, 0.0, 0.0, 0.0)
+def _trigger(spacing_m: float, where: str) -> Command:
+    at_once = 1.0 if spacing_m else 0.0
+    params = (spacing_m, 0.0, at_once, 0.0, 0.0, 0.0, 0.0)
     return Command(command=Mav.TRIGGER_DISTANCE, params=params, where=where)

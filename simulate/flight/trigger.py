@@ -13,7 +13,7 @@ from simulate.flight.context import MAX_PHOTOGRAPHS
 _TOLERANCE = 1e-6
 _PER_MILLISECOND = 0.001
 # Minimum time (s) between photographs of a drone's camera.
-_QUICKEST_S = 0.05
+_MIN_INTERVAL_S = 0.05
 # A restarted distance trigger takes a photograph at once only if the last one is farther away (m).
 _MIN_DISTANCE_M = 0.1
 
@@ -23,31 +23,31 @@ class Repeater:
     """A trigger that takes photographs repeatedly.
 
     Attributes:
-        every: Metres or seconds between photographs.
-        left: Metres or seconds to the next photograph.
-        timed: Whether ``every`` and ``left`` are seconds.
+        interval: Metres or seconds between photographs.
+        remaining: Metres or seconds to the next photograph.
+        is_timer: Whether ``interval`` and ``remaining`` are seconds.
         count: Number of photographs left; None is unlimited.
         command: The command that started the trigger.
-        since_m: Distance since its last photograph, metres.
+        since_m: Distance since the trigger's last photograph, metres.
     """
 
-    every: float
-    left: float
-    timed: bool
+    interval: float
+    remaining: float
+    is_timer: bool
     count: int | None
     command: Command
     since_m: float = math.inf
 
     def advance(self, distance_m: float, time_s: float) -> None:
         """Advance by a distance and the time that it took."""
-        self.left -= time_s if self.timed else distance_m
+        self.remaining -= time_s if self.is_timer else distance_m
         self.since_m += distance_m
 
     def take_if_due(self) -> bool:
         """Return whether a photograph is due, and count it if so."""
-        if self.left > _TOLERANCE or self.count == 0:
+        if self.remaining > _TOLERANCE or self.count == 0:
             return False
-        self.left += self.every
+        self.remaining += self.interval
         self.since_m = 0.0
         if self.count is not None:
             self.count -= 1
@@ -76,7 +76,7 @@ class Triggers:
     @property
     def timer(self) -> Command | None:
         """The command of a running trigger by time; None without one."""
-        return next((r.command for r in self.running.values() if r.timed and r.count != 0), None)
+        return next((r.command for r in self.running.values() if r.is_timer and r.count != 0), None)
 
     def execute(self, command: Command) -> bool:
         """Start or stop a trigger, and return whether a photograph is taken at once.
@@ -104,7 +104,7 @@ class Triggers:
     def next_distance_m(self, speed: float | None) -> float:
         """Return the distance to the next photograph, metres; infinite without one."""
         distances = [
-            r.left * (speed or 0.0) if r.timed else r.left
+            r.remaining * (speed or 0.0) if r.is_timer else r.remaining
             for r in self.running.values()
             if r.count != 0
         ]
@@ -112,15 +112,15 @@ class Triggers:
 
     def next_time_s(self) -> float:
         """Return the time to the next photograph of a hovering aircraft, seconds."""
-        times = [r.left for r in self.running.values() if r.timed and r.count != 0]
+        times = [r.remaining for r in self.running.values() if r.is_timer and r.count != 0]
         return max(min(times, default=float("inf")), 0.0)
 
     def require_few_photographs(self, distance_m: float, time_s: float) -> None:
         """Require that the number of photographs over a distance and time is not too large."""
         for repeater in self.running.values():
-            passed = time_s if repeater.timed else distance_m
+            passed = time_s if repeater.is_timer else distance_m
             endless = repeater.count is None or repeater.count > MAX_PHOTOGRAPHS
-            if endless and passed / repeater.every > MAX_PHOTOGRAPHS:
+            if endless and passed / repeater.interval > MAX_PHOTOGRAPHS:
                 raise too_many_photographs()
 
     def advance(self, distance_m: float, time_s: float) -> int:
@@ -129,12 +129,12 @@ class Triggers:
             repeater.advance(distance_m, time_s)
         return sum(repeater.take_if_due() for repeater in self.running.values())
 
-    def _start(self, command: Command, every: float, count: int | None = None) -> None:
+    def _start(self, command: Command, interval: float, count: int | None = None) -> None:
         kind = Mav(command.command)
         if kind is Mav.OBLIQUE_SURVEY:
             kind = Mav.TRIGGER_DISTANCE
-        timed = kind is not Mav.TRIGGER_DISTANCE
-        self.running[kind] = Repeater(every, every, timed, count, command)
+        is_timer = kind is not Mav.TRIGGER_DISTANCE
+        self.running[kind] = Repeater(interval, interval, is_timer, count, command)
 
     def _stop(self, command: Command, *kinds: Mav) -> None:
         stopped = [self.running.pop(kind) for kind in kinds if kind in self.running]
@@ -178,7 +178,7 @@ class Triggers:
         The first cycle begins with a photograph.
         """
         cycle_ms = command.number(0, "cycle")
-        if 0 < _PER_MILLISECOND * cycle_ms < _QUICKEST_S:
+        if 0 < _PER_MILLISECOND * cycle_ms < _MIN_INTERVAL_S:
             raise command.error(
                 f"has a cycle of {cycle_ms:g} ms (params[0]), which is too short for a camera",
                 "set it in milliseconds, not seconds",
@@ -211,7 +211,7 @@ class Triggers:
                 )
             self.running |= self.paused
             for repeater in self.paused.values():
-                repeater.left = repeater.every
+                repeater.remaining = repeater.interval
             self.paused = {}
             return Mav.TRIGGER_INTERVAL in self.running
         return False
@@ -227,7 +227,7 @@ class Triggers:
         if count == 1:
             return True
         every = command.number(1, "interval")
-        if not every >= _QUICKEST_S:
+        if not every >= _MIN_INTERVAL_S:
             raise command.error(f"has an interval of {every:g} s (params[1])", "set it in seconds")
         self._start(command, every, int(count) - 1 if count else None)
         return True

@@ -27,8 +27,8 @@ class Vehicle:
         kind: MAV_TYPE.
         hover_m_s: Speed of an aircraft that hovers.
         cruise_m_s: Speed of an aircraft in forward flight.
-        transitioned: Whether a VTOL aircraft is in forward flight.
-        set_m_s: Speed set by the mission.
+        is_forward: Whether a VTOL aircraft is in forward flight.
+        commanded_m_s: Speed set by the mission.
     """
 
     home: tuple[float, float]
@@ -36,8 +36,8 @@ class Vehicle:
     kind: int | None = None
     hover_m_s: float | None = None
     cruise_m_s: float | None = None
-    transitioned: bool = False
-    set_m_s: float | None = None
+    is_forward: bool = False
+    commanded_m_s: float | None = None
 
     @property
     def is_ardupilot(self) -> bool:
@@ -57,12 +57,12 @@ class Vehicle:
     @property
     def flies_forward(self) -> bool:
         """Return whether the aircraft is in forward flight and cannot hover."""
-        return self.kind == _PLANE or (self.is_vtol and self.transitioned)
+        return self.kind == _PLANE or (self.is_vtol and self.is_forward)
 
     def speed_or_none(self) -> float | None:
         """Return the speed, metres per second; None if unknown."""
-        if self.set_m_s is not None:
-            return self.set_m_s
+        if self.commanded_m_s is not None:
+            return self.commanded_m_s
         if self.kind is None:
             return self.hover_m_s if self.hover_m_s == self.cruise_m_s else None
         return self.cruise_m_s if self.flies_forward else self.hover_m_s
@@ -96,11 +96,11 @@ class Vehicle:
         if kind in (_CLIMB, _DESCENT) or speed == _UNCHANGED:
             return
         if speed == _DEFAULT:
-            self.set_m_s = None
+            self.commanded_m_s = None
             return
         if not speed > 0:
             raise command.error(f"sets the speed {speed:g} m/s (params[1])", "set it above 0")
-        self.set_m_s = speed
+        self.commanded_m_s = speed
 
     def transition(self, command: Command) -> None:
         """Execute MAV_CMD_DO_VTOL_TRANSITION, which resets the speed.
@@ -117,5 +117,5 @@ class Vehicle:
 
     def enter(self, *, forward: bool) -> None:
         """Change between hovering and forward flight, for VTOL aircraft."""
-        if forward != self.transitioned:
-            self.transitioned, self.set_m_s = forward, None
+        if forward != self.is_forward:
+            self.is_forward, self.commanded_m_s = forward, None

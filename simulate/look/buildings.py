@@ -162,8 +162,10 @@ def _hip_roof(
     style: BuildingStyle,
     rng: np.random.Generator,
 ) -> None:
-    """Add four slopes; ``heights`` are those of the eaves, which are level with the walls' top, and
-    of the ridge."""
+    """Add four slopes.
+
+    ``heights`` are those of the eaves, at the level of the walls' top, and of the ridge.
+    """
     x0, x1, y0, y1 = rect
     eaves, ridge = heights
     m = 0.5 * (y0 + y1)
@@ -201,7 +203,7 @@ def _roof_installations(
     if shape == "shed":
         return
     area = (x1 - x0) * (y1 - y0)
-    if top - base > 1.0:  # the highest of them reaches the top of the box
+    if top - base > 1.0:  # the highest installation reaches the top of the box
         size = (2.2, 2.2) if shape == "hall" else (min(4.0, x1 - x0), min(3.0, y1 - y0))
         x = rng.uniform(x0, x1 - size[0])
         y = rng.uniform(y0, max(y0 + 0.1, y1 - size[1]))
@@ -258,7 +260,8 @@ def _skylights(
     """Add skylights or solar panels at least 6 cm above the slopes.
 
     They lie 6 cm above the plane from the ridge to the edge of the roof at the height of the walls'
-    top. That plane is the slope of a hip roof. The slope of a gable roof with an overhang is lower.
+    top. For a hip roof, this plane is the slope. The slope of a gable roof with an overhang is
+    lower.
     """
     x0, x1, y0, y1 = rect
     m, half = 0.5 * (y0 + y1), 0.5 * (y1 - y0)

@@ -32,7 +32,7 @@ class Light:
     Attributes:
         elevation: Elevation of the sun, degrees. None is half an hour before solar noon. Below 0
             it is night, with moon, street lamps, lit windows and headlights.
-        rising: Whether that elevation is in the morning, else in the afternoon.
+        rising: Whether the sun has this elevation before noon; otherwise after noon.
     """
 
     elevation: float | None
@@ -51,9 +51,10 @@ LIGHTS = Registry("light", "objconnect.lights", _LIGHTS, lambda e: isinstance(e,
 _SHARE_OF_NOON = 0.6
 _MIN_NOON_DEG = 3.0  # minimum elevation of the sun at noon
 
-# The lights of a night are on a brighter scale than those of a day, by this many stops. An
-# irradiance of 1 W/m2 is 100,000 lux / 6 by day, and about 15 lux by night, as under a street lamp.
+# Light is rendered on a brighter scale by night than by day, by this many stops. An irradiance of
+# 1 W/m2 stands for 100,000 lux / 6 by day, and for about 15 lux by night, as under a street lamp.
 _NIGHT_STOPS = 10.0
+# Irradiance (W/m2), elevation and linear colour of the moon.
 _MOON_W, _MOON_DEG, _MOON_RGB = 0.02, 40.0, (0.75, 0.86, 1.0)
 _GLOW = 0.012  # strength of the sky at night
 _STREET_W = 0.25  # mean irradiance of streets by lamps, which the camera meters
@@ -192,8 +193,8 @@ def condition(name: str, origin: Geodetic = DEFAULT_ORIGIN) -> Condition:
     """Return the condition SEASON-LIGHT[-WEATHER] at an origin; the default weather is clear.
 
     Raises:
-        InputError: a part of the name is unknown, or the sun does not rise that day at that
-            latitude and the light needs it.
+        InputError: a part of the name is unknown, or at that latitude the sun does not rise to 3
+            degrees on the day of the season or, for a night, never sinks far enough.
     """
     words = name.split("-")
     if len(words) not in (2, 3):
@@ -340,9 +341,9 @@ def _sky(elevation: float, cloud: float) -> Sky:
 
 
 def _exposure(sun: Sun, sky: Sky, season: Season, weather: Weather, night: Night | None) -> float:
-    """Return the exposure in stops: 85 % of that of a light meter at 100 m that points down.
+    """Return the exposure in stops: 85 % of that of a light meter that points down from 100 m.
 
-    Photographs in the evening therefore stay a little dark. Those at night are darker still,
+    Photographs in the evening therefore stay a little dark. Photographs at night are darker still,
     because a camera limits its exposure time and its gain.
     """
     light = sky.strength * (sum(sky.zenith) + sum(sky.horizon)) / 6

@@ -1,7 +1,7 @@
 """Cover of the ground of a place: standing water, leaves, and how fast snow thaws.
 
-All images have the raster of the place's ground, with row 0 in the south. They change colours and
-reflections, but not the geometry.
+All images have the raster of the place's ground, with row 0 in the south. A cover changes colours
+and reflections, but not the geometry.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Build meshes of containers, stacks of them, and the machines that lift them, in metres.
+"""Build meshes of containers, stacks of containers, and container cranes, in metres.
 
 The front of an object faces +x. The parts that take the object's own colour have the material
 "paint".
@@ -49,15 +49,18 @@ def _container(length: float) -> Mesh:
     return out.build()
 
 
-def _stack(length: float, high: int, variant: int) -> Mesh:
-    """Build a stack of containers. The top one has the object's colour, the others their own."""
+def _stack(length: float, count: int, variant: int) -> Mesh:
+    """Build a stack of containers. The top container has the object's colour, the others their own.
+
+    ``variant`` seeds the colours of the others.
+    """
     rng = np.random.default_rng([35, variant])
     one = _container(length)
     height = float(np.ptp(one.vertices[:, 2]))
     painted = one.material == one.materials.index("paint")
     names = tuple("plain" if name == "paint" else name for name in one.materials)
-    parts = [one.scale_by((1, 1, 1), (0, 0, (high - 1) * height))]
-    for k in range(high - 1):
+    parts = [one.scale_by((1, 1, 1), (0, 0, (count - 1) * height))]
+    for k in range(count - 1):
         colour = np.array(STEEL_COLOURS[int(rng.integers(len(STEEL_COLOURS)))], np.float32)
         tint = np.where(painted[:, None], one.tint * colour, one.tint)
         lower = replace(one, tint=tint, materials=names)
@@ -66,7 +69,7 @@ def _stack(length: float, high: int, variant: int) -> Mesh:
 
 
 def _gantry() -> Mesh:
-    """Build a crane on rubber tyres of 10 x 24 x 17 m, whose two frames span y."""
+    """Build a rubber-tyred gantry crane, 10 x 24 x 17 m, whose two frames span y."""
     out = MeshBuilder()
     for x in (0.8, 9.2):
         for y in (-11.5, 11.5):

@@ -29,8 +29,8 @@ _TEXTURE: dict[str, tuple[float, float, float]] = {
     "path": (0.14, 0.18, 0.25),
     "water": (0.10, 0.0, 0.0),
 }
-_SEALED = ("road", "pavement", "parking", "driveway")  # classes on which rain stays
-MUDDY = np.array([0.060, 0.048, 0.030], np.float32)  # albedo of floods
+_SEALED = ("road", "pavement", "parking", "driveway")  # classes on which rain water stays
+FLOOD_ALBEDO = np.array([0.060, 0.048, 0.030], np.float32)  # muddy water
 _FURROW, _SWATH = 5.0, 0.55  # radians per metre across the rows
 _WET_DARKENING = 0.5  # relative darkening of wet ground
 # Classes that look the same in every season: linear albedo (deep, shallow).
@@ -91,7 +91,7 @@ def bake(
         _strew_leaves(albedo, cover.litter, labels, season, fine)
     albedo *= 1 - _WET_DARKENING * condition.wet
     if cover.flood is not None:
-        albedo += cover.flood[..., None] * (MUDDY * (1 + 0.1 * drift)[..., None] - albedo)
+        albedo += cover.flood[..., None] * (FLOOD_ALBEDO * (1 + 0.1 * drift)[..., None] - albedo)
     if season.snow > 0:
         _lay_snow(albedo, ground, season, drift, cover.shelter)
     return srgb(albedo)
@@ -106,7 +106,7 @@ def _contrasts() -> NDArray[np.float32]:
 
 
 def _mix_worn(labels: NDArray[np.uint8], season: Season, worn: Float) -> Float:
-    """Return the albedo (n, n, 3) of a season, mixed of fresh and worn ground."""
+    """Return the albedo (n, n, 3) of a season, mixed from its fresh and its worn colours."""
     fresh_colour = np.zeros((_LABELS, 3), np.float32)
     worn_colour = np.zeros((_LABELS, 3), np.float32)
     for name in _TEXTURE:
@@ -128,7 +128,7 @@ def _plough(
     ploughed = fields & (ground.tone % 2 == 0)
     fresh, old = (np.array(rgb, np.float32) for rgb in colours)
     albedo[ploughed] = fresh + worn[ploughed][:, None] * (old - fresh)
-    across = _across(ground, ground.tone.astype(np.float32) / 255.0 - 0.5)
+    across = _measure_across_rows(ground, ground.tone.astype(np.float32) / 255.0 - 0.5)
     value[ploughed] *= 1 + 0.3 * np.sin(across[ploughed] * _FURROW)
     stubble = fields & ~ploughed
     value[stubble] *= 1 + 0.12 * np.sign(np.sin(across[stubble] * _SWATH))
@@ -149,7 +149,7 @@ def _strew_leaves(
 def _lay_snow(
     albedo: Float, ground: Ground, season: Season, drift: Float, shelter: Float | None
 ) -> None:
-    """Cover the ground with snow. Thaw leaves the sheltered part of it."""
+    """Cover the ground with snow. In thaw, only the sheltered part of the snow remains."""
     snow = np.zeros(_LABELS, np.float32)
     for name, share in _SNOW_KEPT.items():
         snow[CLASSES[name]] = share
@@ -190,8 +190,8 @@ def _spots(rng: np.random.Generator, n: int, cells: float) -> NDArray[np.float32
     return np.asarray(np.clip(2.5 * noise(rng, n, cells) - 1.2, 0, 1.5))
 
 
-def _across(ground: Ground, tone: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the distance (n, n), metres, across the rows of each region."""
+def _measure_across_rows(ground: Ground, tone: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the coordinate (n, n), metres, at right angles to the rows of each region."""
     n = len(ground.labels)
     axis = (np.arange(n, dtype=np.float32) - 0.5 * n) * ground.texel_m
     angle = tone * 9.0
@@ -201,10 +201,10 @@ def _across(ground: Ground, tone: NDArray[np.float32]) -> NDArray[np.float32]:
 def _furrows(ground: Ground, tone: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the darkening (n, n) by crop rows and mowing stripes.
 
-    Their direction is derived from the region's tone value (a number per region from -0.5 to 0.5),
-    so each field gets its own.
+    Rows and stripes have a direction that is derived from the region's tone (-0.5 to 0.5), so that
+    fields differ.
     """
-    across = _across(ground, tone)
+    across = _measure_across_rows(ground, tone)
     rows = np.where(ground.labels == CLASSES["field"], np.float32(0.11), np.float32(0))
     rows *= 0.5 + 0.5 * np.sin(across * 4.2)
     # About every third lawn is mown in stripes.

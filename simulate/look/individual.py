@@ -28,7 +28,7 @@ def individual_mesh(item: WorldObject, world: World) -> Mesh | None:
 
 
 def _leaning_mesh(item: WorldObject) -> Mesh:
-    """Return the mesh of an object on a slope: each vertex is raised as the ground under it."""
+    """Return the mesh of an object on a slope: vertices are raised by the slope of the ground."""
     mesh = shape_mesh(item.shape).scale_by((*item.size[:2], item.height_m))
     vertices = mesh.vertices.copy()
     vertices[:, 2] += vertices[:, :2] @ np.asarray(item.slope, np.float32)

@@ -18,7 +18,7 @@ def add_light(data: Any, scene: Any, condition: Condition) -> None:
     Args:
         data: ``bpy.data``.
         scene: The Blender scene.
-        condition: The condition, whose exposure is set too.
+        condition: The condition. Its exposure is set in the scene too.
     """
     lamp, sun = data.lights.new("sun", "SUN"), condition.luminary
     lamp.energy, lamp.color, lamp.angle = sun.watts, sun.rgb, np.radians(sun.angle)

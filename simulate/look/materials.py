@@ -42,7 +42,7 @@ def build_materials(
 
     The materials read the attribute "tint" and the texture coordinates "uv" of meshes, and the
     colour of objects, whose alpha is 1 for vehicles in traffic and 0 for other objects. At night,
-    windows and lamps shine, but ``simulate.look.lamps`` illuminates the scene.
+    windows and lamps glow, but do not light other surfaces. ``simulate.look.lamps`` lights them.
 
     Args:
         data: ``bpy.data``.
@@ -82,7 +82,7 @@ def _add_fog(material: Any, condition: Condition) -> None:
     The contrast at d metres is exp(-3.912 d / visibility) (Koschmieder). Only camera rays are
     changed, so fog removes no light, adds no noise and keeps the depth of surfaces.
     """
-    graph = _Graph.of(material)
+    graph = _Graph.from_material(material)
     output, surface = graph.surface()
     distance = graph.node("ShaderNodeCameraData").outputs["View Distance"]
     depth = graph.math("MULTIPLY", distance, -3.912 / condition.weather.visibility_m)
@@ -135,8 +135,8 @@ class _Builder:
     def ground(self, image: Any, reflective: bool) -> Any:
         """Make the material of the ground from its baked image, mirrored beyond the area.
 
-        The image contains snow and wetness. Its alpha is the share of a slightly rough mirror, as
-        on water.
+        The image contains snow and wetness. Its alpha is the share of a slightly rough mirror in
+        the surface, which is 1 on water.
         """
         graph = _Graph(self.data, "ground")
         texture = graph.image(image, extension="MIRROR")
@@ -150,7 +150,7 @@ class _Builder:
     def from_image(self, name: str, pixels: NDArray[np.uint8]) -> Any:
         """Make a material of an image.
 
-        Its alpha is the share by which the polygon's tint multiplies it.
+        The alpha of the image is the share of its colour that the polygon's tint multiplies.
         """
         graph = _Graph(self.data, name)
         texture = graph.image(self.image(name, pixels), extension="REPEAT")
@@ -170,7 +170,7 @@ class _Builder:
 
         Whether a window is lit, and its colour, depend on the place, the building and the window.
         """
-        graph = _Graph.of(material)
+        graph = _Graph.from_material(material)
         image = self.image(f"panes of {material.name}", panes)
         pane = graph.red(graph.image(image, extension="REPEAT").outputs["Color"])
         cells = (textures.BAYS, textures.FLOORS, 1.0)
@@ -186,7 +186,7 @@ class _Builder:
 
     def switch_on(self, material: Any, rgb: Rgb, *, only_driven: bool) -> None:
         """Let the lamps of a finished material shine; if ``only_driven``, only those of traffic."""
-        graph = _Graph.of(material)
+        graph = _Graph.from_material(material)
         on = graph.node("ShaderNodeObjectInfo").outputs["Alpha"] if only_driven else 1.0
         _add_glow(graph, graph.rgb(rgb), graph.math("MULTIPLY", on, _LAMP_GLOW))
 
@@ -228,7 +228,7 @@ class _Builder:
         patches = graph.ramp(graph.noise(scale=0.3, detail=2.0), threshold - 0.1, threshold + 0.12)
         mask = graph.math("MULTIPLY", graph.math("MULTIPLY", up, patches), 0.9)
         thaw = self.condition.season.thaw
-        if thaw > 0:  # what faces the noon sun is bare
+        if thaw > 0:  # surfaces that face the noon sun are bare
             azimuth, elevation = np.radians(self.condition.noon)
             level = np.cos(elevation)
             sun = (level * np.sin(azimuth), level * np.cos(azimuth), np.sin(elevation))
@@ -239,7 +239,11 @@ class _Builder:
 
 
 class _Graph:
-    """The node tree of a material while it is built. Its methods return output sockets."""
+    """The node tree of a material while it is built.
+
+    The methods return output sockets, except ``node``, ``image`` and ``white_noise``, which return
+    nodes.
+    """
 
     def __init__(self, data: Any, name: str) -> None:
         self.material = data.materials.new(name)
@@ -248,7 +252,7 @@ class _Graph:
         self.tree.nodes.clear()
 
     @classmethod
-    def of(cls, material: Any) -> _Graph:
+    def from_material(cls, material: Any) -> _Graph:
         """Return the node tree of a finished material."""
         graph = cls.__new__(cls)
         graph.material, graph.tree = material, material.node_tree
@@ -311,7 +315,7 @@ class _Graph:
         return self.node("ShaderNodeTexNoise", Vector=at, Scale=scale, Detail=detail).outputs[0]
 
     def white_noise(self, at: Any, number: Any) -> Any:
-        """Add random numbers of a point and a number."""
+        """Add a node that hashes a point and a number to random numbers."""
         node = self.tree.nodes.new("ShaderNodeTexWhiteNoise")
         node.noise_dimensions = "4D"
         self._assign(node.inputs["Vector"], at)

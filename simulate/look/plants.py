@@ -91,11 +91,11 @@ def hedge_mesh(hedge: WorldObject, terrain: Heightfield) -> Mesh:
     body.polygon(points[-1, ::-1], "leaf", (0.15, 0, 0))
 
     leaves = int(70 * length)
-    at = rng.uniform(-0.5, 0.5, leaves) * (length - 0.2)
+    along = rng.uniform(-0.5, 0.5, leaves) * (length - 0.2)
     on_top = rng.random(leaves) < 0.4  # else on a side
     y = np.where(on_top, rng.uniform(-1, 1, leaves), np.sign(rng.uniform(-1, 1, leaves)))
     z = np.where(on_top, rng.uniform(0.86, 0.95, leaves), rng.uniform(0.05, 0.9, leaves))
-    centres = np.stack([at, y * half, np.interp(at, x, ground) + z * high], -1)
+    centres = np.stack([along, y * half, np.interp(along, x, ground) + z * high], -1)
     outward = np.stack([np.zeros(leaves), np.where(on_top, 0, y), np.where(on_top, 1, 0.3)], -1)
     foliage = _leaves(rng, centres, outward, 0.17, rng.uniform(0.35, 1.0, leaves))
     # Leaves outside the box are moved onto its sides.

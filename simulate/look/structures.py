@@ -22,7 +22,7 @@ _GREEN: Rgb = (0.030, 0.055, 0.018)
 def _panel(columns: int, rows: int) -> Mesh:
     """Build a table of solar panels of 12 x 4 x 2.6 m on posts, which faces -y.
 
-    ``columns`` and ``rows`` count its modules.
+    ``columns`` and ``rows`` are the numbers of its modules.
     """
     out = MeshBuilder()
     length, deep, low, high = 12.0, 4.0, 0.8, 2.59

@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 from objconnect.scene.bundle.labels import CLASSES
 from simulate.look.conditions import Condition
 from simulate.look.cover import cover
-from simulate.look.ground import MUDDY, srgb
+from simulate.look.ground import FLOOD_ALBEDO, srgb
 from simulate.look.noise import grain, noise
 from simulate.look.seasons import SEASONS, Season
 from simulate.place.world import World
 
 Float = NDArray[np.float32]
 
-_SEALED = ("pavement",)  # classes on which rain stays
+_SEALED = ("pavement",)  # classes on which rain water stays
 # Relative darkening of wet surfaces, by class.
 _WET_DARKENING: dict[str, float] = {"pavement": 0.5, "grass": 0.4, "building": 0.35, "tree": 0.25}
 _SNOW_RGB = np.array([0.74, 0.77, 0.82], np.float32)
@@ -49,7 +49,7 @@ def bake_albedo(world: World, condition: Condition) -> NDArray[np.uint8]:
         rows = slice(first, first + _STRIP_ROWS)
         albedo = _LINEAR[imagery.albedo[rows]] * ratio[labels[rows]]
         if flood is not None:
-            albedo += flood[rows, :, None] * (MUDDY - albedo)
+            albedo += flood[rows, :, None] * (FLOOD_ALBEDO - albedo)
         if drift is not None:
             _lay_snow(albedo, labels[rows], imagery.snow[rows], drift[rows], condition.season)
         out[rows] = srgb(albedo)
@@ -75,7 +75,7 @@ def bake_specular(world: World, condition: Condition) -> NDArray[np.uint8]:
 
 
 def _drift(world: World, n: int) -> Float:
-    """Return the variation of snow, (n, n), with mean 0."""
+    """Return the variation (n, n) of the depth of snow, with mean 0."""
     rng = np.random.default_rng([world.seed, 1])
     side_m = n * world.ground.texel_m
     broad = noise(rng, n, side_m / 40.0)
@@ -93,17 +93,19 @@ def _lay_snow(
 ) -> None:
     """Cover rows of the albedo (h, n, 3) with snow, as ``simulate.look.ground.bake`` does.
 
-    ``kept`` is the share (h, n) of the snow that stays, in 1/255. It includes shelter, so that thaw
-    takes the snow of all surfaces alike.
+    ``kept`` is the share (h, n) of the snow that stays, in 1/255. The share includes shelter, so
+    that thaw is equally strong on all surfaces.
     """
-    lying = np.clip(kept * np.float32(season.snow * 4.2 / 255) - _bare(season) + 1.5 * drift, 0, 1)
+    lying = np.clip(
+        kept * np.float32(season.snow * 4.2 / 255) - _bare_threshold(season) + 1.5 * drift, 0, 1
+    )
     lying *= np.where(labels == CLASSES["tree"], np.float32(_CROWN_COVER), np.float32(1))
     white = _SNOW_RGB * (1 + 0.07 * drift)[..., None]
     albedo += (_SNOW_OPACITY * lying)[..., None] * (white - albedo)
 
 
-def _bare(season: Season) -> float:
-    """Return the snow, in units of cover, below which the ground is bare."""
+def _bare_threshold(season: Season) -> float:
+    """Return the amount of snow, in units of cover, below which the ground is bare."""
     return 1.4 + 0.5 * season.thaw
 
 

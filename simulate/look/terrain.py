@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 _STEP_M = 8.0  # distance between the nodes of the mirrored ground
 # Extent and number of nodes of the countryside around the mirrored ground.
 _FAR_M, _FAR_NODES = 2400.0, 26
-_HILLS_M, _HILLS_FROM_M = 150.0, 150.0  # height of the hills, and distance at which they begin
+_HILLS_M, _HILLS_START_M = 150.0, 150.0  # height of the hills, and distance at which they begin
 _AIR_RGB = np.array([0.22, 0.26, 0.31])  # linear colour of haze
 _FOOT_M = 0.05  # kerbs reach this far into the ground
 _STONE_M, _STONE_RGB = 0.22, (0.30, 0.29, 0.275)  # width and linear albedo of kerb stones
@@ -64,7 +64,11 @@ def kerbs_mesh(world: World) -> Mesh | None:
 
 
 def _kerb_mesh(kerb: Kerb, world: World) -> Mesh:
-    """Return one pavement as five edges along it: kerb's foot, over the top, and down behind."""
+    """Return one pavement as a strip between five edges along it.
+
+    The edges are the foot and the top of the kerb, the back of the kerb stones, and the top and the
+    foot of the far edge.
+    """
     outwards = kerb.back - kerb.front
     behind = kerb.front + _STONE_M * outwards / np.linalg.norm(outwards, axis=1, keepdims=True)
     edges = np.stack([kerb.front, kerb.front, behind, kerb.back, kerb.back])
@@ -90,21 +94,23 @@ def _kerb_mesh(kerb: Kerb, world: World) -> Mesh:
 def _hills(x: Array, y: Array, outside_m: Array) -> Array:
     """Return the heights (R, C) of hills at points ``outside_m`` (R, C) metres outside the place.
 
-    They vary from point to point and rise with the distance.
+    The hills vary with the direction from the origin and rise with the distance.
     """
     turn = np.arctan2(y, x)
     waves = ((0.22, 3, 1.0), (0.12, 7, 2.0), (0.06, 17, 0.0))
     ridge = 0.60 + sum(high * np.sin(count * turn + start) for high, count, start in waves)
-    share = np.clip((outside_m - _HILLS_FROM_M) / (0.6 * _FAR_M), 0.0, 1.0)
+    share = np.clip((outside_m - _HILLS_START_M) / (0.6 * _FAR_M), 0.0, 1.0)
     return np.asarray(_HILLS_M * ridge * share * share * (3 - 2 * share))
 
 
-def _countryside_tints(at: Array, outside_m: Array, condition: Condition) -> NDArray[np.float32]:
+def _countryside_tints(
+    points: Array, outside_m: Array, condition: Condition
+) -> NDArray[np.float32]:
     """Return the tints (N, 3) of woods, fields and meadows at points (N, 3).
 
     The points lie ``outside_m`` (N,) metres outside the place. Distant points are tinted by haze.
     """
-    x, y, _ = at.T
+    x, y, _ = points.T
     patch = np.sin(x / 61.0 + 1.3 * np.sin(y / 83.0)) + np.sin(y / 47.0 + 1.7 * np.sin(x / 97.0))
     woods = (patch + outside_m / 500.0 > 1.2)[:, None]
     fields = (patch < -0.5)[:, None]

@@ -1,8 +1,8 @@
 """Draw images of walls and roofs with numpy.
 
 Each image is (rows, columns, 4) uint8 with row 0 at the bottom. The first three channels are an
-sRGB colour. Alpha says how far the polygon's tint changes it: at 255 the colour is multiplied by
-the tint, as for walls and tiles; at 0 it stays as it is, as for windows.
+sRGB colour. Alpha is the share of the polygon's tint: at 255 the tint multiplies the colour, as for
+walls and tiles; at 0 the colour does not change, as for windows.
 """
 
 from __future__ import annotations
@@ -123,7 +123,10 @@ def _dwellings(canvas: _Canvas, style: Facade, rng: np.random.Generator) -> None
 
 
 def roof(kind: str) -> Image:
-    """Draw a periodic roof image of a kind of ROOFINGS, ROOF_TILE_M a side; v runs up the slope."""
+    """Draw a periodic image of a roof, ROOF_TILE_M a side; v runs up the slope.
+
+    ``kind`` is one of ROOFINGS.
+    """
     rng = np.random.default_rng([78, ROOFINGS.index(kind)])
     n = round(ROOF_TILE_M / _TEXEL_M)
     v, u = np.mgrid[:n, :n].astype(np.float32) * np.float32(_TEXEL_M)

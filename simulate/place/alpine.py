@@ -46,8 +46,8 @@ def _chalet(builder: PlaceBuilder, frame: StreetFrame, depth: float) -> None:
     if not builder.place(spec, frame.point(0, b), yaw):
         return
     if builder.chance(0.7):
-        at = frame.point(-0.5 * size[0] - 2.1, rng.uniform(2.8, b))
-        car(builder, at, frame.yaw(0, b) + np.pi / 2)
+        position = frame.point(-0.5 * size[0] - 2.1, rng.uniform(2.8, b))
+        car(builder, position, frame.yaw(0, b) + np.pi / 2)
     for a in (0.5 * max(size) + 1.2, 0.5 * max(size) + 2.6):
         if builder.chance(0.5):
             small_object(builder, "pallet", frame.point(a, b), frame.yaw(a, b))

@@ -58,7 +58,7 @@ class ObjectSpec:
 
 @dataclass(frozen=True)
 class Footing:
-    """Ground on which an object may stand, and its distance to others.
+    """The ground on which an object may stand, and its distance to other objects.
 
     Attributes:
         on_road: whether it may stand on roads and pavements.
@@ -160,9 +160,9 @@ class PlaceBuilder:
         """Paint a white line (K, 2)."""
         self.markings.append(Marking(np.asarray(line, float), width_m))
 
-    def is_free(self, at: ArrayLike, size: Sequence[float], yaw: float) -> bool:
+    def is_free(self, position: ArrayLike, size: Sequence[float], yaw: float) -> bool:
         """Return whether a rectangle of a size (2,), metres, at a point (2,) is free."""
-        return not self._is_occupied(rectangle(at, size, yaw), on_reserved=False)
+        return not self._is_occupied(rectangle(position, size, yaw), on_reserved=False)
 
     def reserve(self, polygon: Array) -> None:
         """Reserve a rectangle (4, 2). Only objects placed ``on_reserved`` may stand there later."""
@@ -171,7 +171,7 @@ class PlaceBuilder:
     def place(
         self,
         spec: ObjectSpec,
-        at: ArrayLike,
+        position: ArrayLike,
         yaw: float,
         footing: Footing = OPEN_GROUND,
     ) -> bool:
@@ -183,9 +183,9 @@ class PlaceBuilder:
 
         Args:
             spec: The object.
-            at: Centre of its box (2,), metres.
-            yaw: Direction of its length, radians anticlockwise from east.
-            footing: Ground on which it may stand, and its minimum distance to other objects.
+            position: Centre (2,) of the object's box, metres.
+            yaw: Direction of the object's length, radians anticlockwise from east.
+            footing: Ground on which the object may stand, and its distance to other objects.
 
         Returns:
             Whether there was room.
@@ -193,20 +193,20 @@ class PlaceBuilder:
         Raises:
             InputError: There are more objects than ids.
         """
-        at = np.asarray(at, float)
+        position = np.asarray(position, float)
         length, width, height = spec.size
-        corners = rectangle(at, (length, width), yaw)
+        corners = rectangle(position, (length, width), yaw)
         if np.abs(corners).max() > 0.5 * self.side_m:
             return False
         gap_m = footing.gap_m
-        grown = rectangle(at, (length + 2 * gap_m, width + 2 * gap_m), yaw)
+        grown = rectangle(position, (length + 2 * gap_m, width + 2 * gap_m), yaw)
         if self._is_occupied(grown, footing.on_reserved):
             return False
         if not footing.on_road and self.roads_within(_outline(grown), PAVEMENT_M):
             return False
         self._claim(corners, reserved=False)
 
-        samples = np.vstack([corners, 0.5 * (corners + np.roll(corners, 1, 0)), at])
+        samples = np.vstack([corners, 0.5 * (corners + np.roll(corners, 1, 0)), position])
         ground = self.terrain.height(samples[:, 0], samples[:, 1])
         base = float(ground[-1])
         if spec.class_name == "building":
@@ -214,7 +214,7 @@ class PlaceBuilder:
         elif spec.class_name in ("hedge", "fence"):
             base = float(ground.min())
             height += float(np.ptp(ground))
-        centre = np.array([at[0], at[1], base + 0.5 * height])
+        centre = np.array([position[0], position[1], base + 0.5 * height])
         slope = slope_under(self.terrain, corners) if spec.leans and self._is_steep else None
         if slope is not None:
             height += rise(slope, spec.size)
@@ -233,10 +233,10 @@ class PlaceBuilder:
 
         Args:
             class_name: Class of the object.
-            ends: Its two ends (2, 2), seen from above, metres.
+            ends: The two ends (2, 2) of the object, seen from above, metres.
             heights: Heights of the two ends, world metres.
-            width_m: Its width.
-            low_m: Height of its lowest point, world metres.
+            width_m: Width of the object, metres.
+            low_m: Height of the lowest point of the object, world metres.
         """
         a, b = ends
         size = np.array([np.linalg.norm(b - a), width_m, max(heights) - low_m])
@@ -246,10 +246,10 @@ class PlaceBuilder:
         self._add(cable, centre, size, yaw)
 
     def flood(self, shore: Array, bank_m: float) -> None:
-        """Paint still water inside a shore (K, 2), and level the ground under it.
+        """Paint still water inside a shore (K, 2), and level the ground under the water.
 
-        The ground around it slopes to the water over ``bank_m`` metres, beyond the last cell of the
-        terrain that the water touches. No object may stand there yet.
+        The ground around the water slopes to it over ``bank_m`` metres, beyond the last cell of the
+        terrain that the water touches. Flood an area before objects are placed on it.
         """
         spacing, nodes = self.terrain.spacing_m, self.terrain.nodes.copy()
         axis = np.arange(len(nodes)) * spacing - self.terrain.half_side_m
@@ -283,7 +283,7 @@ class PlaceBuilder:
         yaw: float,
         slope: Slope | None = None,
     ) -> None:
-        """Add an object with a box of ``size`` (3,) metres, maybe higher than ``spec.size``."""
+        """Add an object with a box of ``size`` (3,) metres, which may exceed ``spec.size``."""
         number = len(self.objects) + 1
         if number > MAX_OBJECT_ID:
             raise InputError(

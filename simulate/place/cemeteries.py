@@ -32,16 +32,16 @@ class Graves:
 
     Attributes:
         size: Length, width and height of a grave, metres.
-        row_m: Distance between rows.
-        apart_m: Distance between graves of a row.
+        row_spacing_m: Distance between rows.
+        grave_spacing_m: Distance between graves of a row.
         stones: Colours of the stones.
         weights: Shares of the kinds of graves.
         occupied_share: Share of the positions with a grave.
     """
 
     size: tuple[float, float, float]
-    row_m: float
-    apart_m: float
+    row_spacing_m: float
+    grave_spacing_m: float
     stones: tuple[Rgb, ...]
     weights: tuple[float, ...]
     occupied_share: float
@@ -55,8 +55,8 @@ def draw_graves(builder: PlaceBuilder) -> Graves:
     weights = rng.dirichlet((0.8,) * len(_GRAVES))
     return Graves(
         size=(rng.uniform(2.1, 2.5), width, rng.uniform(0.9, 1.3)),
-        row_m=rng.uniform(3.4, 4.2),
-        apart_m=width + rng.uniform(0.7, 1.4),
+        row_spacing_m=rng.uniform(3.4, 4.2),
+        grave_spacing_m=width + rng.uniform(0.7, 1.4),
         stones=tuple(_STONES[k] for k in stones),
         weights=tuple(weights.tolist()),
         occupied_share=rng.uniform(0.8, 0.95),
@@ -76,10 +76,10 @@ def graves(builder: PlaceBuilder, block: Block) -> None:
     for b in (4.0, depth - 4.0):
         bench(builder, frame.point(middle + 2.0, b), frame.yaw(middle, b) + np.pi / 2)
         small_object(builder, "bin", frame.point(middle - 1.7, b), 0.0)
-    for b in np.arange(4.5, depth - 3.0, kind.row_m):
+    for b in np.arange(4.5, depth - 3.0, kind.row_spacing_m):
         foot = b - 0.5 * kind.size[0] - 0.6
         builder.paint("path", frame.quad(2.5, length - 2.5, foot - 0.4, foot + 0.4), 0.6)
-        for a in np.arange(3.0, length - 3.0, kind.apart_m):
+        for a in np.arange(3.0, length - 3.0, kind.grave_spacing_m):
             if builder.chance(kind.occupied_share):
                 shape = _GRAVES[int(rng.choice(len(_GRAVES), p=kind.weights))]
                 stone = vary(builder, builder.choose(kind.stones))

@@ -195,13 +195,14 @@ class _FreePositions:
         similar = self._by_kind[_kind(item)]
         for _ in range(_TRIES):
             neighbour = similar[int(self._rng.integers(len(similar)))]
-            at = neighbour.centre[:2] + self._step(neighbour)
-            if not self._fits(at, item, neighbour):
+            position = neighbour.centre[:2] + self._step(neighbour)
+            if not self._fits(position, item, neighbour):
                 continue
-            corners = rectangle(at, item.size[:2], neighbour.yaw)
+            corners = rectangle(position, item.size[:2], neighbour.yaw)
             self._take(corners)
-            ground = float(self._base.terrain.height(*at)) + self._pavements.height_at(at)
-            centre = np.array([at[0], at[1], ground + 0.5 * item.height_m])
+            ground = float(self._base.terrain.height(*position))
+            ground += self._pavements.height_at(position)
+            centre = np.array([position[0], position[1], ground + 0.5 * item.height_m])
             driven = neighbour.driven
             new = replace(item, id=new_id, centre=centre, yaw=neighbour.yaw, driven=driven)
             return new if item.slope is None else self._lean(new, corners)
@@ -228,19 +229,19 @@ class _FreePositions:
         bays = int(self._rng.integers(1, 5))
         return np.asarray(sign * bays * _BAY_M * left)
 
-    def _fits(self, at: Array, item: WorldObject, neighbour: WorldObject) -> bool:
+    def _fits(self, position: Array, item: WorldObject, neighbour: WorldObject) -> bool:
         """Return whether an object fits at a position.
 
-        It must lie inside the area, only on the neighbour's class of ground, and clear of other
-        objects.
+        The object must lie inside the area, only on the neighbour's class of ground, and clear of
+        other objects.
         """
-        grown = rectangle(at, item.size[:2] + 2 * _GAP_M, neighbour.yaw)
+        grown = rectangle(position, item.size[:2] + 2 * _GAP_M, neighbour.yaw)
         if np.abs(grown).max() > 0.5 * self._base.side_m:
             return False
-        under = np.vstack([grown, 0.5 * (grown + np.roll(grown, 1, 0)), at])
+        under = np.vstack([grown, 0.5 * (grown + np.roll(grown, 1, 0)), position])
         if (self._label(under) != self._label(neighbour.centre[None, :2])).any():
             return False
-        near = self._circles.find_overlapping(at, float(np.linalg.norm(grown[0] - at)))
+        near = self._circles.find_overlapping(position, float(np.linalg.norm(grown[0] - position)))
         return not any(overlap(grown, self._taken[k]) for k in near)
 
     def _take(self, corners: Array) -> None:

@@ -24,9 +24,10 @@ from simulate.place.world import Rgb
 
 MAX_STACKED = 5
 STACK_VARIANTS = 4
-"""Number of meshes of a stack of one height, which differ in the colours of the lower ones."""
+"""Number of meshes for each height of a stack, which differ in the colours of the containers below
+the top."""
 
-_ACROSS_M = 2.44 + 0.36  # distance between the middles of stacks side by side
+_STACK_SPACING_M = 2.44 + 0.36  # distance between the middles of stacks side by side
 _GAP_M = 0.45  # distance between stacks end to end
 _LANE_M = 8.0  # least width of the lane between two groups of rows
 _EDGE_M = 4.5  # width of the lane around the yard
@@ -41,15 +42,15 @@ class Yard:
         shape: Name of the container's shape.
         rows: Number of rows side by side between two lanes.
         colours: Colours of the owners' containers.
-        high: Most containers in a stack.
-        full: Share of the positions with a stack.
+        max_stacked: Maximum number of containers in a stack.
+        occupied_share: Share of the positions with a stack.
     """
 
     shape: str
     rows: int
     colours: tuple[Rgb, ...]
-    high: int
-    full: float
+    max_stacked: int
+    occupied_share: float
 
 
 def draw_yard(builder: PlaceBuilder) -> Yard:
@@ -60,8 +61,8 @@ def draw_yard(builder: PlaceBuilder) -> Yard:
         shape="long_container" if builder.chance(0.5) else "container",
         rows=int(rng.integers(4, 7)),
         colours=tuple(vary(builder, STEEL_COLOURS[k]) for k in owners),
-        high=int(rng.integers(3, MAX_STACKED + 1)),
-        full=rng.uniform(0.8, 0.97),
+        max_stacked=int(rng.integers(3, MAX_STACKED + 1)),
+        occupied_share=rng.uniform(0.8, 0.97),
     )
 
 
@@ -72,7 +73,7 @@ def container_yard(builder: PlaceBuilder, block: Block) -> None:
     length, depth = block.length, block.depth
     builder.paint("parking", frame.quad(-PAVEMENT_M, length, -PAVEMENT_M, depth), 0.5)
     builder.paint("parking", frame.quad(3, 11, -PAVEMENT_M - 1.5, 1), 0.5)
-    wide = yard.rows * _ACROSS_M
+    wide = yard.rows * _STACK_SPACING_M
     room = depth - 2 * _EDGE_M
     groups = max(1, int((room + _LANE_M) / (wide + _LANE_M)))
     spacing = (room - wide) / max(1, groups - 1)
@@ -93,29 +94,32 @@ def container_yard(builder: PlaceBuilder, block: Block) -> None:
 def _group(builder: PlaceBuilder, frame: StreetFrame, yard: Yard, length: float) -> None:
     """Place the rows between two lanes from the frame's origin, with a gap for a crane."""
     size = CONTAINER_M[yard.shape]
-    step, wide = size[0] + _GAP_M, yard.rows * _ACROSS_M
+    step, wide = size[0] + _GAP_M, yard.rows * _STACK_SPACING_M
     crane = (CRANE_M[0], wide + 0.55 * _LANE_M, CRANE_M[2])
     gap_a = builder.rng.uniform(0.15, 0.85) * (length - crane[0])
     gap = frame.quad(gap_a, gap_a + crane[0], 0.0, wide)
     builder.reserve(gap)
-    at = (gap_a + 0.5 * crane[0], 0.5 * wide)
+    position = (gap_a + 0.5 * crane[0], 0.5 * wide)
     paint = builder.choose(_CRANE_PAINTS)
     gantry = ObjectSpec("crane", "gantry", crane, paint)
-    builder.place(gantry, frame.point(*at), frame.yaw(*at), Footing(on_reserved=True))
-    for b in (np.arange(yard.rows) + 0.5) * _ACROSS_M:
+    builder.place(gantry, frame.point(*position), frame.yaw(*position), Footing(on_reserved=True))
+    for b in (np.arange(yard.rows) + 0.5) * _STACK_SPACING_M:
         for a in np.arange(0.5 * step, length - 0.5 * step + 0.01, step):
             corners = frame.quad(a - 0.5 * size[0], a + 0.5 * size[0], b - 1.2, b + 1.2)
             builder.mark(np.vstack([corners, corners[:1]]), 0.10)
-            if builder.chance(yard.full):
+            if builder.chance(yard.occupied_share):
                 _stack(builder, frame, (float(a), float(b)), yard)
 
 
 def _stack(
     builder: PlaceBuilder, frame: StreetFrame, spot: tuple[float, float], yard: Yard
 ) -> None:
-    """Place a stack of one to ``yard.high`` containers; the colour is that of the top one."""
+    """Place a stack of one to ``yard.max_stacked`` containers.
+
+    The colour of the object is that of the top container.
+    """
     rng = builder.rng
-    high = int(rng.integers(1, yard.high + 1))
+    high = int(rng.integers(1, yard.max_stacked + 1))
     length, width, height = CONTAINER_M[yard.shape]
     shape = yard.shape if high == 1 else f"{yard.shape}_{high}x{rng.integers(STACK_VARIANTS)}"
     size = (length, width, high * height)

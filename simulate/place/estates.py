@@ -24,15 +24,16 @@ _SECTIONS = {"hedge": (0.8, 1.5), "fence": (0.10, 1.6)}
 
 @dataclass(frozen=True)
 class HouseType:
-    """The house, the garage and the plot of which an estate consists.
+    """The house of an estate, with its garage and its plot.
 
     Attributes:
         plot_m: Width of a plot.
         size: Length, width and height of the house, metres.
         style: Style of the house.
-        row: Number of houses wall to wall; after them there is a gap.
+        houses_per_row: Number of houses wall to wall between two gaps.
         setback_m: Distance of the house from the street.
-        garage: Style of the garage beside the house; None for a parking space in front of it.
+        garage: Style of the garage beside the house. None makes a parking space in front of the
+            house.
         barrier: Kind of the barriers between gardens.
         lawn: Tone of the lawns.
     """
@@ -40,7 +41,7 @@ class HouseType:
     plot_m: float
     size: tuple[float, float, float]
     style: BuildingStyle
-    row: int
+    houses_per_row: int
     setback_m: float
     garage: BuildingStyle | None
     barrier: Literal["hedge", "fence"]
@@ -63,7 +64,7 @@ def draw_house_type(builder: PlaceBuilder) -> HouseType:
         plot_m=width + (0.02 if terraced else rng.uniform(5.2, 6.5)),
         size=(width, depth, 2.8 * style.floors + 0.4 + style.roof_height_m),
         style=style,
-        row=int(rng.integers(4, 8)) if terraced else 1,
+        houses_per_row=int(rng.integers(4, 8)) if terraced else 1,
         setback_m=6.2 if terraced else rng.uniform(4.0, 6.5),
         garage=None if terraced else shed_style(builder),
         barrier="fence" if builder.chance(0.5) else "hedge",
@@ -75,7 +76,7 @@ def estate(builder: PlaceBuilder, block: Block) -> None:
     """Lay two rows of equal plots back to back, each with the house type of the place."""
     kind = builder.once(draw_house_type)
     depth = 0.5 * block.depth
-    gap = 0.0 if kind.row == 1 else 4.0
+    gap = 0.0 if kind.houses_per_row == 1 else 4.0
     for side in (1, -1):
         frame = block.front(side)
         builder.paint("grass", frame.quad(0, block.length, 0, depth), kind.lawn)
@@ -83,7 +84,7 @@ def estate(builder: PlaceBuilder, block: Block) -> None:
         while a + kind.plot_m <= block.length:
             _plot(builder, frame.shift(a), kind, depth)
             number += 1
-            a += kind.plot_m + (gap if number % kind.row == 0 else 0.0)
+            a += kind.plot_m + (gap if number % kind.houses_per_row == 0 else 0.0)
     frame, section = block.front(1), _SECTIONS[kind.barrier]
     for a in np.arange(1.0, block.length - 12.0, 11.0):
         barrier(builder, kind.barrier, frame, (a, depth), (a + 11.0, depth), section)
@@ -109,8 +110,8 @@ def _plot(builder: PlaceBuilder, frame: StreetFrame, kind: HouseType, depth: flo
     builder.place(house, spot, frame.yaw(house_a, 0.0), _WALL_TO_WALL)
     if kind.garage is not None:
         garage = ObjectSpec("building", "shed", (2.9, 6.0, 2.7), style=kind.garage)
-        at = frame.point(drive_a, drive_end + 3.0)
-        builder.place(garage, at, frame.yaw(drive_a, 0.0))
+        position = frame.point(drive_a, drive_end + 3.0)
+        builder.place(garage, position, frame.yaw(drive_a, 0.0))
     builder.reserve(frame.quad(drive_a - 1.3, drive_a + 1.3, -0.5, drive_end - 0.2))
     if builder.chance(0.6):
         b = min(2.8, 0.5 * drive_end)

@@ -14,7 +14,7 @@ from simulate.place.streets import Block, StreetFrame
 from simulate.place.styles import hall_style, vary
 from simulate.place.world import Rgb
 
-_AFLOAT = Footing(on_reserved=True, gap_m=0.3)
+_WATER_FOOTING = Footing(on_reserved=True, gap_m=0.3)
 _BANK_M = 3.0  # width of the ground that slopes to the water
 _HULLS: tuple[Rgb, ...] = ((0.02, 0.05, 0.12), (0.22, 0.03, 0.025), (0.03, 0.10, 0.05), (0.05,) * 3)
 _YACHTS: tuple[Rgb, ...] = ((0.62, 0.62, 0.60), (0.55, 0.56, 0.58), (0.03, 0.06, 0.16))
@@ -23,7 +23,7 @@ _YACHTS: tuple[Rgb, ...] = ((0.62, 0.62, 0.60), (0.55, 0.56, 0.58), (0.03, 0.06,
 def _basin(builder: PlaceBuilder, block: Block, front_m: float) -> tuple[float, ...] | None:
     """Flood a block behind ``front_m`` metres of quay.
 
-    Return the basin's first and last a and first and last b; None without room.
+    Return the local bounds (a0, a1, b0, b1) of the basin; None without room.
     """
     frame, length, depth = block.front(1), block.length, block.depth
     tone = float(builder.rng.random())
@@ -60,7 +60,7 @@ def quay(builder: PlaceBuilder, block: Block) -> None:
             ship = ObjectSpec("boat", "ship", (long, 0.17 * long + 1.5, 0.16 * long + 2.0), hull)
             at = a + 0.5 * long
             turn = frame.yaw(at, b) + builder.choose((0.0, np.pi))
-            builder.place(ship, frame.point(at, b), turn, _AFLOAT)
+            builder.place(ship, frame.point(at, b), turn, _WATER_FOOTING)
             a += long + rng.uniform(3.0, 14.0)
     a = rng.uniform(0.25, 0.75) * block.length
     crane = ObjectSpec("crane", "gantry", (CRANE_M[0], 11.0, CRANE_M[2]), (0.05, 0.16, 0.30))
@@ -96,8 +96,8 @@ def marina(builder: PlaceBuilder, block: Block) -> None:
         return
     a0, a1, b0, b1 = basin
     berth = rng.uniform(9.0, 13.0)
-    apart = 2 * berth + 9.0
-    for a in np.arange(a0 + berth + 2.0, a1 - berth - 1.0, apart):
+    spacing = 2 * berth + 9.0
+    for a in np.arange(a0 + berth + 2.0, a1 - berth - 1.0, spacing):
         end = b1 - rng.uniform(3.0, 9.0)
         pontoon = frame.quad(a - 1.0, a + 1.0, b0 - _BANK_M, end)
         builder.paint("pavement", pontoon, 0.8)
@@ -119,4 +119,4 @@ def _yacht(
     a = spot[0] + side * (1.6 + 0.5 * long)
     yaw = frame.yaw(a, spot[1]) + (0.0 if side > 0 else np.pi)
     boat = ObjectSpec("boat", shape, (long, 0.30 * long, high), colour)
-    builder.place(boat, frame.point(a, spot[1]), yaw, _AFLOAT)
+    builder.place(boat, frame.point(a, spot[1]), yaw, _WATER_FOOTING)

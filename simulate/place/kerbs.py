@@ -90,10 +90,10 @@ class PavementHeights:
 
 def _is_pavement(road: Road, side: float, ground: Ground, half_m: float) -> NDArray[np.bool_]:
     """Return whether the verge of a road is pavement, at every ``_STEP_M`` along it."""
-    at = np.arange(0.0, polyline_length(road.line), _STEP_M)
-    pavement = np.ones(len(at), bool)
+    arc_m = np.arange(0.0, polyline_length(road.line), _STEP_M)
+    pavement = np.ones(len(arc_m), bool)
     for away_m in _SAMPLED_M:
-        points = _offset_points(road, side * (0.5 * road.width_m + away_m), at)
+        points = _offset_points(road, side * (0.5 * road.width_m + away_m), arc_m)
         pavement &= ground.label(*points.T) == CLASSES["pavement"]
         pavement &= (np.abs(points) < half_m).all(1)
     return pavement
@@ -107,28 +107,31 @@ def _runs(mask: NDArray[np.bool_]) -> list[tuple[float, float]]:
 
 
 def _kerb(road: Road, side: float, start: float, end: float) -> Kerb:
-    """Return the kerb on one side of a road between two arc lengths, metres, with ramps at both."""
+    """Return the kerb on one side of a road between two arc lengths, metres.
+
+    Both ends are ramps.
+    """
     corners = arc_lengths(road.line)
     between = corners[(corners > start + _RAMP_M + 0.1) & (corners < end - _RAMP_M - 0.1)]
-    at = np.concatenate([[start, start + _RAMP_M], between, [end - _RAMP_M, end]])
-    rise = np.full(len(at), KERB_HEIGHT_M)
+    arc_m = np.concatenate([[start, start + _RAMP_M], between, [end - _RAMP_M, end]])
+    rise = np.full(len(arc_m), KERB_HEIGHT_M)
     rise[[0, -1]] = 0.0
     edge = 0.5 * road.width_m
     return Kerb(
-        _offset_points(road, side * edge, at),
-        _offset_points(road, side * (edge + PAVEMENT_M), at),
+        _offset_points(road, side * edge, arc_m),
+        _offset_points(road, side * (edge + PAVEMENT_M), arc_m),
         rise,
     )
 
 
-def _offset_points(road: Road, left_m: float, at_m: Array) -> Array:
-    """Return points (N, 2) ``left_m`` to the left of a road's centre line.
+def _offset_points(road: Road, left_m: float, arc_m: Array) -> Array:
+    """Return points (N, 2) ``left_m`` to the left of a road's centre line at arc lengths (N,).
 
     Normals are interpolated between corners, so that kerbs meet the edges of ``ribbon``.
     """
     tangent = np.gradient(road.line, axis=0)
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], -1)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    points, _ = polyline_points(road.line, at_m)
-    across = np.stack([np.interp(at_m, arc_lengths(road.line), normal[:, k]) for k in (0, 1)], -1)
-    return np.asarray(points + left_m * across)
+    points, _ = polyline_points(road.line, arc_m)
+    normals = np.stack([np.interp(arc_m, arc_lengths(road.line), normal[:, k]) for k in (0, 1)], -1)
+    return np.asarray(points + left_m * normals)

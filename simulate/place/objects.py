@@ -58,7 +58,7 @@ STACKER_M: Size = (11.0, 4.2, 5.0)
 _GREY: Rgb = (0.20, 0.205, 0.21)
 _CREOSOTE: Rgb = (0.12, 0.085, 0.06)
 # Size of each small object, and the colours of its painted parts.
-_SMALL: dict[str, tuple[Size, tuple[Rgb, ...]]] = {
+_SMALL_OBJECTS: dict[str, tuple[Size, tuple[Rgb, ...]]] = {
     "bin": ((0.60, 0.60, 1.05), ((0.03, 0.10, 0.05), _GREY, (0.035, 0.04, 0.05))),
     "hydrant": ((0.40, 0.48, 0.85), ((0.45, 0.03, 0.02), (0.50, 0.36, 0.03))),
     "sign": ((0.13, 0.80, 2.68), ((0.48, 0.03, 0.02), (0.02, 0.09, 0.40), (0.55, 0.42, 0.02))),
@@ -77,14 +77,14 @@ _SMALL: dict[str, tuple[Size, tuple[Rgb, ...]]] = {
 def small_object(
     builder: PlaceBuilder,
     kind: str,
-    at: Array,
+    position: Array,
     yaw: float,
     footing: Footing = OPEN_GROUND,
 ) -> bool:
     """Place a small object whose class is also its shape, such as a bin, a hydrant or a boat."""
-    size, colours = _SMALL[kind]
+    size, colours = _SMALL_OBJECTS[kind]
     colour = vary(builder, builder.choose(colours))
-    return builder.place(ObjectSpec(kind, kind, size, colour), at, yaw, footing)
+    return builder.place(ObjectSpec(kind, kind, size, colour), position, yaw, footing)
 
 
 def steel_colour(builder: PlaceBuilder) -> Rgb:
@@ -104,10 +104,10 @@ def building(
 
     Return whether it was placed.
     """
-    at, yaw = frame.point(*spot), frame.yaw(*spot)
+    position, yaw = frame.point(*spot), frame.yaw(*spot)
     for share in (1.0, 0.9, 0.8, 0.7):
         fitted = (size[0] * share, size[1] * share, size[2])
-        if builder.place(ObjectSpec("building", shape, fitted, style=style), at, yaw):
+        if builder.place(ObjectSpec("building", shape, fitted, style=style), position, yaw):
             return True
     return False
 
@@ -126,15 +126,15 @@ def tree_spec(builder: PlaceBuilder, radius: float, conifers: float) -> ObjectSp
     return ObjectSpec("tree", shape, size, colour)
 
 
-def tree(builder: PlaceBuilder, at: Array, radius: float, conifers: float = 0.12) -> bool:
+def tree(builder: PlaceBuilder, position: Array, radius: float, conifers: float = 0.12) -> bool:
     """Place a tree as ``tree_spec`` draws it."""
     spec = tree_spec(builder, radius, conifers)
-    return builder.place(spec, at, builder.rng.uniform(-np.pi, np.pi))
+    return builder.place(spec, position, builder.rng.uniform(-np.pi, np.pi))
 
 
-def bench(builder: PlaceBuilder, at: Array, yaw: float) -> bool:
+def bench(builder: PlaceBuilder, position: Array, yaw: float) -> bool:
     spec = ObjectSpec("bench", "bench", _BENCH_M, (0.20, 0.12, 0.07))
-    return builder.place(spec, at, yaw, Footing(gap_m=0.05))
+    return builder.place(spec, position, yaw, Footing(gap_m=0.05))
 
 
 def barrier(
@@ -171,23 +171,23 @@ def place_fences(
 
 
 def car(
-    builder: PlaceBuilder, at: Array, yaw: float, gap_m: float = 0.15, *, driven: bool = False
+    builder: PlaceBuilder, position: Array, yaw: float, gap_m: float = 0.15, *, driven: bool = False
 ) -> bool:
     shape = builder.choose(tuple(_CARS))
     paint = vary(builder, builder.choose(_PAINTS))
     spec = ObjectSpec("car", shape, _CARS[shape], paint, driven=driven, leans=True)
-    return builder.place(spec, at, yaw, Footing(on_road=True, on_reserved=True, gap_m=gap_m))
+    return builder.place(spec, position, yaw, Footing(on_road=True, on_reserved=True, gap_m=gap_m))
 
 
-def van(builder: PlaceBuilder, at: Array, yaw: float) -> bool:
+def van(builder: PlaceBuilder, position: Array, yaw: float) -> bool:
     paint = vary(builder, builder.choose(_PAINTS[:4]))
     spec = ObjectSpec("van", "van", _TRUCKS["van"], paint, leans=True)
-    return builder.place(spec, at, yaw, Footing(on_road=True, on_reserved=True))
+    return builder.place(spec, position, yaw, Footing(on_road=True, on_reserved=True))
 
 
 def truck(
     builder: PlaceBuilder,
-    at: Array,
+    position: Array,
     yaw: float,
     *,
     shapes: Sequence[str] = tuple(_TRUCKS),
@@ -198,4 +198,4 @@ def truck(
     paint = vary(builder, builder.choose(_PAINTS[:2] + STEEL_COLOURS))
     class_name = "van" if shape == "van" else "truck"
     spec = ObjectSpec(class_name, shape, _TRUCKS[shape], paint, driven=driven, leans=True)
-    return builder.place(spec, at, yaw, Footing(on_road=on_road, on_reserved=on_road))
+    return builder.place(spec, position, yaw, Footing(on_road=on_road, on_reserved=on_road))

@@ -21,23 +21,23 @@ class Planting:
     """The trees of all orchards of a place.
 
     Attributes:
-        row_m: Distance between rows.
-        tree_m: Distance between trees of a row.
-        cultivars: The kinds of trees; each orchard has one.
+        row_spacing_m: Distance between rows.
+        tree_spacing_m: Distance between trees of a row.
+        cultivars: The kinds of trees; each orchard has one kind.
     """
 
-    row_m: float
-    tree_m: float
+    row_spacing_m: float
+    tree_spacing_m: float
     cultivars: tuple[ObjectSpec, ...]
 
 
 def draw_planting(builder: PlaceBuilder) -> Planting:
     """Draw the distances and two kinds of trees."""
     rng = builder.rng
-    tree_m = rng.uniform(3.6, 4.8)
-    radius = 0.45 * tree_m
+    spacing_m = rng.uniform(3.6, 4.8)
+    radius = 0.45 * spacing_m
     cultivars = tuple(tree_spec(builder, radius * share, 0.0) for share in (1.0, 0.8))
-    return Planting(tree_m + rng.uniform(1.0, 2.0), tree_m, cultivars)
+    return Planting(spacing_m + rng.uniform(1.0, 2.0), spacing_m, cultivars)
 
 
 def orchard(builder: PlaceBuilder, block: Block) -> None:
@@ -53,10 +53,10 @@ def orchard(builder: PlaceBuilder, block: Block) -> None:
     middle = 0.5 * length
     builder.reserve(frame.quad(middle - 2.2, middle + 2.2, -1.0, depth + 1.0))
     soil = float(rng.random())
-    for b in np.arange(_HEADLAND_M, depth - _HEADLAND_M, planting.row_m):
+    for b in np.arange(_HEADLAND_M, depth - _HEADLAND_M, planting.row_spacing_m):
         row = frame.quad(_HEADLAND_M - 1.0, length - _HEADLAND_M + 1.0, b - 0.6, b + 0.6)
         builder.paint("field", row, soil)
-        for a in np.arange(_HEADLAND_M, length - _HEADLAND_M, planting.tree_m):
+        for a in np.arange(_HEADLAND_M, length - _HEADLAND_M, planting.tree_spacing_m):
             if builder.chance(0.97):  # else the tree was felled
                 size = np.multiply(cultivar.size, rng.uniform(0.93, 1.07)).tolist()
                 yaw = rng.uniform(-np.pi, np.pi)
@@ -69,7 +69,7 @@ def orchard(builder: PlaceBuilder, block: Block) -> None:
         small_object(builder, "pallet", frame.point(a, b), rng.uniform(-np.pi, np.pi))
     if builder.chance(0.3):
         b = rng.uniform(4, depth - 4)
-        at = frame.point(middle + 2.9, b)
-        small_object(builder, "tractor", at, frame.yaw(middle, b) + np.pi / 2)
+        position = frame.point(middle + 2.9, b)
+        small_object(builder, "tractor", position, frame.yaw(middle, b) + np.pi / 2)
     if builder.chance(0.35):
         place_fences(builder, frame, length, depth, rng.uniform(1.2, 1.8))

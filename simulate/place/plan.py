@@ -38,9 +38,10 @@ Relief = Callable[[float, np.random.Generator], Heightfield]
 class Quarter:
     """The use of the blocks of a place, or of one part of it.
 
-    The blocks nearest the centre get one use of ``first`` each, so that every place has every
-    class. Of the other blocks, a share ``open_share`` is open land, and the rest is drawn from
-    ``uses`` by weight. ``name`` is the name of the part of a place with several parts.
+    The blocks nearest the centre get the uses in ``first``, one each, so that small places have
+    these uses too. Of the other blocks, a share ``open_share`` is open land, or at least 92 % more
+    than 600 m from the centre. The uses of the rest are drawn from ``uses`` by weight. ``name`` is
+    the name of the part of a place with several parts.
     """
 
     first: tuple[Use, ...]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from objconnect.scene.geometry.rectangle import rectangle
 from simulate.place.builder import Footing, PlaceBuilder
 from simulate.place.objects import small_object
-from simulate.place.roadside import off_junction
+from simulate.place.roadside import is_off_junction
 from simulate.place.world import Heightfield, polyline_length, polyline_points
 
 Array = NDArray[np.float64]
@@ -45,12 +45,12 @@ def _pole(builder: PlaceBuilder, line: Array, s: float, offset: float) -> Array 
     """
     for ahead_m in np.arange(0.0, 15.0, 3.0):
         (p,), (along,) = polyline_points(line, s + ahead_m)
-        at = p + offset * np.array([-along[1], along[0]])
+        position = p + offset * np.array([-along[1], along[0]])
         yaw = float(np.arctan2(along[1], along[0]))
-        if off_junction(builder, at, 1.2) and small_object(
-            builder, "pole", at, yaw, Footing(on_road=True)
+        if is_off_junction(builder, position, 1.2) and small_object(
+            builder, "pole", position, yaw, Footing(on_road=True)
         ):
-            return np.asarray(at)
+            return np.asarray(position)
     return None
 
 

@@ -44,21 +44,21 @@ SITE: Final = "site"
 """The preset of a real place, which is read from a file instead of built by a plan."""
 
 
-def preset(name: str, prepared: Path | None = None) -> Callable[[int, float], World]:
+def preset(name: str, site_path: Path | None = None) -> Callable[[int, float], World]:
     """Return the function that builds a World from a seed and a side in metres.
 
-    ``simulate.place.plan.Plan.build`` describes it. A package adds a preset by an entry point of
-    the group ``objconnect.presets``: a ``simulate.place.plan.Plan``.
+    ``simulate.place.plan.Plan.build`` describes the function. A package adds a preset by an entry
+    point of the group ``objconnect.presets`` that names a ``simulate.place.plan.Plan``.
 
     Args:
         name: Name of a preset.
-        prepared: File of a site, for the preset ``SITE``.
+        site_path: File of a site, for the preset ``SITE``.
 
     Raises:
         InputError: the preset does not exist, or a package's preset cannot be loaded.
     """
-    if name == SITE and prepared is not None:
+    if name == SITE and site_path is not None:
         from simulate.place.survey_files import load_site
 
-        return lambda seed, _side_m: load_site(prepared, seed)
+        return lambda seed, _side_m: load_site(site_path, seed)
     return PRESETS.load(name).build

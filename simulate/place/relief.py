@@ -11,7 +11,7 @@ _MAX_NODES = 500  # a side; enough, because the shortest wave is 90 m long
 
 
 def relief(side_m: float, rng: np.random.Generator) -> Heightfield:
-    """Return rolling ground: a few long waves, a few metres high, with slopes of a few per cent."""
+    """Return rolling ground: nine long waves, with slopes of 6 % in the root mean square."""
     n = int(np.ceil(side_m / max(_SPACING_M, side_m / _MAX_NODES))) + 1
     axis = np.linspace(-0.5 * side_m, 0.5 * side_m, n)
     z = np.zeros((n, n))
@@ -24,7 +24,10 @@ def relief(side_m: float, rng: np.random.Generator) -> Heightfield:
 
 
 def valley(side_m: float, rng: np.random.Generator) -> Heightfield:
-    """Return rolling ground in a valley, whose sides rise by 30 to 45 m with slopes up to 27 %."""
+    """Return rolling ground in a valley, whose sides rise by 30 to 45 m.
+
+    The steepest slope is 23 to 41 % in 60 places of 300 m, with a median of 30 %.
+    """
     rolling = relief(side_m, rng)
     axis = rolling.spacing_m * np.arange(len(rolling.nodes)) - rolling.half_side_m
     heading, high, wide = rng.uniform(0, np.pi), rng.uniform(30.0, 45.0), rng.uniform(130.0, 160.0)

@@ -20,10 +20,10 @@ def street_lamps(builder: PlaceBuilder) -> None:
             (p,), (along,) = polyline_points(road.line, s)
             across = side * np.array([-along[1], along[0]])
             yaw = float(np.arctan2(-across[1], -across[0]))
-            at = p + (0.5 * road.width_m + 0.2) * across
-            if off_junction(builder, at, 1.5):
+            position = p + (0.5 * road.width_m + 0.2) * across
+            if is_off_junction(builder, position, 1.5):
                 lamp = ObjectSpec("lamp", "lamp", LAMP_M, (0.25, 0.26, 0.27))
-                builder.place(lamp, at, yaw, Footing(on_road=True))
+                builder.place(lamp, position, yaw, Footing(on_road=True))
 
 
 def avenues(builder: PlaceBuilder) -> None:
@@ -33,8 +33,8 @@ def avenues(builder: PlaceBuilder) -> None:
             for s in np.arange(builder.rng.uniform(3, 9), polyline_length(road.line), 9.0):
                 (p,), (along,) = polyline_points(road.line, s)
                 out = 0.5 * road.width_m + PAVEMENT_M + 2.6
-                at = p + side * out * np.array([-along[1], along[0]])
-                tree(builder, at, builder.rng.uniform(1.5, 2.3), conifers=0.0)
+                position = p + side * out * np.array([-along[1], along[0]])
+                tree(builder, position, builder.rng.uniform(1.5, 2.3), conifers=0.0)
 
 
 def street_furniture(builder: PlaceBuilder) -> None:
@@ -46,12 +46,12 @@ def street_furniture(builder: PlaceBuilder) -> None:
         for s in np.arange(builder.rng.uniform(5, 20), length, 22.0):
             (p,), (along,) = polyline_points(road.line, s)
             side = builder.choose((1.0, -1.0))
-            at = p + side * (0.5 * road.width_m + 1.2) * np.array([-along[1], along[0]])
+            position = p + side * (0.5 * road.width_m + 1.2) * np.array([-along[1], along[0]])
             # Signs face the drivers that come towards them on the right-hand lane.
             yaw = float(np.arctan2(side * along[1], side * along[0]))
-            if off_junction(builder, at, 6.0):
+            if is_off_junction(builder, position, 6.0):
                 kind = kinds[placed % len(kinds)]
-                placed += small_object(builder, kind, at, yaw, Footing(on_road=True))
+                placed += small_object(builder, kind, position, yaw, Footing(on_road=True))
 
 
 def traffic(builder: PlaceBuilder, parked: float = 0.28) -> None:
@@ -70,24 +70,24 @@ def traffic(builder: PlaceBuilder, parked: float = 0.28) -> None:
                 (p,), (along,) = polyline_points(road.line, s)
                 along = direction * along
                 right = np.array([along[1], -along[0]])
-                at = p + (0.25 * road.width_m + rng.normal(0, 0.1)) * right
+                position = p + (0.25 * road.width_m + rng.normal(0, 0.1)) * right
                 yaw = float(np.arctan2(along[1], along[0]))
-                if off_junction(builder, at, 6.0):
+                if is_off_junction(builder, position, 6.0):
                     if builder.chance(0.85):
-                        car(builder, at, yaw, gap_m=0.5, driven=True)
+                        car(builder, position, yaw, gap_m=0.5, driven=True)
                     else:
-                        truck(builder, at, yaw, on_road=True, driven=True)
+                        truck(builder, position, yaw, on_road=True, driven=True)
                 s += rng.uniform(14, 75)
         if road.main:
             continue
         side = builder.choose((1.0, -1.0))
         for s in np.arange(6.0, length, 6.4):
             (p,), (along,) = polyline_points(road.line, s)
-            at = p + side * (0.5 * road.width_m - 1.1) * np.array([-along[1], along[0]])
-            if builder.chance(parked) and off_junction(builder, at, 9.0):
+            position = p + side * (0.5 * road.width_m - 1.1) * np.array([-along[1], along[0]])
+            if builder.chance(parked) and is_off_junction(builder, position, 9.0):
                 car(
                     builder,
-                    at,
+                    position,
                     float(np.arctan2(along[1], along[0])) + builder.choose((0.0, np.pi)),
                     gap_m=0.5,
                 )
@@ -98,12 +98,12 @@ def deliveries(builder: PlaceBuilder) -> None:
     for road in builder.roads:
         for s in np.arange(builder.rng.uniform(10, 40), polyline_length(road.line), 30.0):
             (p,), (along,) = polyline_points(road.line, s)
-            at = p + (0.5 * road.width_m - 1.5) * np.array([along[1], -along[0]])
+            position = p + (0.5 * road.width_m - 1.5) * np.array([along[1], -along[0]])
             yaw = float(np.arctan2(along[1], along[0]))
-            if builder.chance(0.3) and off_junction(builder, at, 8.0):
-                truck(builder, at, yaw, shapes=("lorry",), on_road=True)
+            if builder.chance(0.3) and is_off_junction(builder, position, 8.0):
+                truck(builder, position, yaw, shapes=("lorry",), on_road=True)
 
 
-def off_junction(builder: PlaceBuilder, at: Array, clear_m: float) -> bool:
+def is_off_junction(builder: PlaceBuilder, position: Array, clear_m: float) -> bool:
     """Return whether at most one road comes within ``clear_m`` metres of a point (2,)."""
-    return len(builder.roads_within(at[None], clear_m)) <= 1
+    return len(builder.roads_within(position[None], clear_m)) <= 1

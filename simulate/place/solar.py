@@ -27,12 +27,12 @@ class PanelArray:
 
     Attributes:
         table: A table of panels. Its length runs along the row, and it faces its -y side.
-        row_m: Distance between rows.
+        row_spacing_m: Distance between rows.
         gap_m: Distance between tables of a row.
     """
 
     table: ObjectSpec
-    row_m: float
+    row_spacing_m: float
     gap_m: float
 
 
@@ -64,7 +64,9 @@ def solar(builder: PlaceBuilder, block: Block) -> None:
         van(builder, frame.point(middle, 4.0), frame.yaw(middle, 4.0) + np.pi / 2)
 
     step = array.table.size[0] + array.gap_m
-    for number, b in enumerate(np.arange(_SETBACK_M + 2.5, depth - _SETBACK_M, array.row_m)):
+    for number, b in enumerate(
+        np.arange(_SETBACK_M + 2.5, depth - _SETBACK_M, array.row_spacing_m)
+    ):
         for direction, first, room in (
             (1, middle + 5.0, length - middle - 5.0 - _SETBACK_M),
             (-1, middle - 2.5, middle - 2.5 - _SETBACK_M),

@@ -15,7 +15,7 @@ from simulate.place.streets import Block
 from simulate.place.world import ribbon
 
 _WATER_FOOTING = Footing(on_reserved=True, gap_m=0.4)
-_STRIPS = 10  # number of strips by which the ground of an ellipse of water is reserved
+_STRIPS = 10  # number of strips that reserve the ground under an ellipse of water
 
 
 def lake(builder: PlaceBuilder, block: Block) -> None:

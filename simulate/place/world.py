@@ -193,9 +193,12 @@ class BuildingStyle:
         roof: Shape of the roof. Ridges run along the x axis of the box.
         roof_height_m: Height of the roof above the walls, metres.
         overhang_m: Overhang of the roof beyond the walls, metres.
+        facade: Kind of the facade.
+        roofing: Material of the roof.
         wall_rgb: Albedo of the walls, linear RGB.
         roof_rgb: Albedo of the roof, linear RGB.
-        main_depth_share: Share of the box's depth that the main body takes. Its width is the box's.
+        main_depth_share: Share of the box's depth that the main body takes. The main body has the
+            whole width of the box.
         wing_width_share: Share of the box's width that the wing of an L-shaped building takes. Both
             shares are 1 where the footprint is a rectangle.
         detail: Seed of chimneys, vents and windows.
@@ -238,7 +241,7 @@ class WorldObject:
     radians anticlockwise from east. ``shape`` names the mesh. ``colour`` is linear RGB. Buildings
     have a style. ``driven`` vehicles are in traffic, with their lights on at night. ``slope`` is
     the rise of the ground along the length and the width of an object that leans with it, metres a
-    metre; None stands upright. The box is upright in any case, and higher where its object leans.
+    metre; None for an upright object. The box is always upright, and higher if its object leans.
     """
 
     id: int
@@ -301,16 +304,16 @@ def arc_lengths(line: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def polyline_points(
-    line: NDArray[np.float64], at_m: ArrayLike
+    line: NDArray[np.float64], arc_m: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return points (M, 2) and unit directions (M, 2) at arc lengths (M,), metres, on a line."""
-    at = np.atleast_1d(np.asarray(at_m, float))
+    arc = np.atleast_1d(np.asarray(arc_m, float))
     steps = np.diff(line, axis=0)
     lengths = np.linalg.norm(steps, axis=1)
     start = arc_lengths(line)
-    i = np.clip(np.searchsorted(start, at, side="right") - 1, 0, len(steps) - 1)
+    i = np.clip(np.searchsorted(start, arc, side="right") - 1, 0, len(steps) - 1)
     direction = steps[i] / lengths[i, None]
-    return line[i] + (at - start[i])[:, None] * direction, direction
+    return line[i] + (arc - start[i])[:, None] * direction, direction
 
 
 def polyline_length(line: NDArray[np.float64]) -> float:

@@ -52,7 +52,7 @@ from simulate.render.precipitation import precipitate
 from simulate.render.process import end_with, keep_to_one_core
 from simulate.render.reach import Reach, depth_inside
 from simulate.render.shutter import roll_shutter
-from simulate.thermal.camera import Baked, ThermalCamera
+from simulate.thermal.camera import GroundImages, ThermalCamera
 
 _SENSOR_MM = 36.0
 # Cycles offsets the first ray of a pixel by this much (px) to the right and up, because it samples
@@ -60,7 +60,7 @@ _SENSOR_MM = 36.0
 _FIRST_RAY_PX = 0.000526
 _NEAR_M = 0.1  # near clipping distance
 _NO_SURFACE_M = 1e9  # Cycles writes a depth of 1e10 where a ray hits nothing
-_MANY_OBJECTS = 5000  # in a place with more objects, unlinking is faster than moving
+_MANY_OBJECTS = 5000  # in a place with more objects, unlinking objects is faster than moving them
 _FAR_BELOW_M = 1e7  # depth below the ground at which no ray meets an object
 
 
@@ -76,7 +76,7 @@ def main(chunk_path: str) -> None:
     if job.board is not None:
         _build_board(job.board)
     else:
-        base = preset(job.preset, job.prepared)(job.seed, job.side_m)
+        base = preset(job.preset, job.site_path)(job.seed, job.side_m)
         world = change_world(base, job.change, job.first_new_id).world
         condition = conditions.condition(job.condition, job.origin)
         thermal = _thermal_camera(job, world, condition, _build_scene(world, condition))
@@ -94,7 +94,7 @@ def main(chunk_path: str) -> None:
                 continue
             start = time.monotonic()
             pose = np.asarray(rows, float)
-            # The noise of a frame depends only on its number, not on process or order.
+            # The noise depends on the job's seed and the frame's number, not on process or order.
             state = np.random.SeedSequence([job.seed, frame]).generate_state(1)[0]
             bpy.context.scene.cycles.seed = int(state >> 1)
             travel = np.array(job.travel.get(frame, (0.0, 0.0, 0.0)))
@@ -121,7 +121,7 @@ def main(chunk_path: str) -> None:
             done = FrameDone(frame=frame, seconds=round(time.monotonic() - start, 3))
             print(done.model_dump_json(), file=reports, flush=True)
             first_bytes = first_bytes or resident_bytes()
-            if resident_bytes() - first_bytes >= chunk.may_grow_bytes:
+            if resident_bytes() - first_bytes >= chunk.max_growth_bytes:
                 break
 
 
@@ -137,7 +137,7 @@ def _claim_stdout() -> TextIO:
 # --- the scene ---------------------------------------------------------------------------------
 
 
-def _build_scene(world: World, condition: Condition) -> Baked:
+def _build_scene(world: World, condition: Condition) -> GroundImages:
     """Add the world under a condition to an empty Blender file, and return its ground."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     if world.imagery is None:
@@ -178,13 +178,13 @@ def _build_scene(world: World, condition: Condition) -> Baked:
         if item.class_name == "building":  # the origin of its mesh is at the ground
             placed.location.z -= 0.5 * item.size[2]
     add_light(bpy.data, bpy.context.scene, condition)
-    return Baked(albedo, specular)
+    return GroundImages(albedo, specular)
 
 
 def _thermal_camera(
-    job: RenderJob, world: World, condition: Condition, baked: Baked
+    job: RenderJob, world: World, condition: Condition, ground_images: GroundImages
 ) -> ThermalCamera | None:
-    """Return the thermal camera of a job, for which Cycles writes materials and coordinates."""
+    """Return the thermal camera of a job, and make Cycles write the passes that it reads."""
     if not job.thermal:
         return None
     layer = bpy.context.scene.view_layers[0]
@@ -192,7 +192,7 @@ def _thermal_camera(
     names = sorted(material.name for material in bpy.data.materials)
     for number, name in enumerate(names, 1):
         bpy.data.materials[name].pass_index = number
-    return ThermalCamera(world, condition, job.origin, names, baked)
+    return ThermalCamera(world, condition, job.origin, names, ground_images)
 
 
 def _build_board(board: Board) -> None:
@@ -245,10 +245,10 @@ def _add_beam(name: str, beam: Beam) -> Any:
     lamp.color = beam.rgb
     lamp.spot_size, lamp.spot_blend, lamp.shadow_soft_size = np.radians(beam.cone_deg), 0.8, 0.0
     placed = _add(name, lamp)
-    placed.location = beam.at
+    placed.location = beam.position
     # Spot lights shine along -z; their cone is flattened along y.
-    placed.rotation_euler = Vector(beam.towards).to_track_quat("-Z", "Y").to_euler()
-    placed.scale = (1.0, beam.flat, 1.0)
+    placed.rotation_euler = Vector(beam.direction).to_track_quat("-Z", "Y").to_euler()
+    placed.scale = (1.0, beam.aspect, 1.0)
     placed.visible_camera = False
     return lamp
 
@@ -256,7 +256,7 @@ def _add_beam(name: str, beam: Beam) -> Any:
 class _Stage:
     """Removes the objects that a frame does not need, without changing its pixels.
 
-    It also adds the lamps of a night and switches off those too far away to light the view.
+    The class also adds the lamps of a night, and switches off lamps too far away to light the view.
 
     Objects are moved far below the ground, which takes 0.2 ms each. In a place with many objects
     they are unlinked instead, after which Cycles reloads the scene in 0.4 s.
@@ -282,8 +282,8 @@ class _Stage:
             else:
                 self._objects[row].delta_location.z = 0.0 if needed[row] else -_FAR_BELOW_M
         self._present = needed
-        at = np.array([beam.at for beam in self._beams]).reshape(-1, 3)
-        inside = depth_inside(at, camera, cam_from_world) + travel_m
+        positions = np.array([beam.position for beam in self._beams]).reshape(-1, 3)
+        inside = depth_inside(positions, camera, cam_from_world) + travel_m
         for lamp, beam, depth in zip(self._lamps, self._beams, inside, strict=True):
             lamp.energy = beam.watts if depth > -beam.reach_m else 0.0
 
@@ -360,7 +360,7 @@ def _render(
     with OpenEXR.File(str(folder / "passes.exr"), separate_channels=True) as exr:
         channels = {name.split(".", 1)[1]: c.pixels for name, c in exr.channels().items()}
     depth = channels["Depth.Z"]
-    # Cycles measures depth from the frame's position; each row has its own.
+    # Cycles measures depth from the frame's pose, but each row has a camera position of its own.
     offset = row_shift(travel, len(depth)) + exposure_offset(travel, len(depth))
     ahead = offset @ cam_from_world[2, :3]
     depth = np.where(depth < _NO_SURFACE_M, depth - ahead[:, None], 0)
@@ -386,7 +386,7 @@ def _radiance(
     travel: NDArray[np.float64],
     layers: dict[str, NDArray[Any]],
 ) -> NDArray[np.float32]:
-    """Return the radiance (H, W) of a frame, and remove the layers that only it needs."""
+    """Return the radiance (H, W) of a frame, and remove the layers that only this step needs."""
     rays, shift = pinhole_rays(camera), row_shift(travel, camera.height)
     semantic = semantic_labels(world, rays, cam_from_world, shift, layers)
     view = {**layers, "semantic": semantic}

@@ -45,8 +45,8 @@ class Caster:
     ) -> dict[int, NDArray[np.float64]]:
         """Return the boxes (4,) of small objects by id: the least x and y, then the largest.
 
-        They are in image coordinates at depth 1, not in pixels. ``simulate.camera.resample`` looks
-        for parts of these objects between pixel centres.
+        The boxes are in image coordinates at depth 1, not in pixels. ``simulate.camera.resample``
+        looks for parts of these objects between pixel centres.
 
         Args:
             cam_from_world: pose (4, 4).
@@ -72,7 +72,7 @@ class Caster:
                 origin = local_from_cam[:3, 3]
                 directions = ahead @ local_from_cam[:3, :3].T
                 start = origin.tolist()
-                # Plain lists, because a call of numpy per ray is slower than the ray.
+                # Rays are plain lists, because a numpy call per ray is slower than the cast.
                 results = [item.ray_cast(start, ray) for ray in directions.tolist()]
                 hit = np.array([result[0] for result in results], bool)
                 at = np.array([result[1][:] for result in results]).reshape(-1, 3)

@@ -37,9 +37,9 @@ class RenderJob(BaseModel):
     - ``samples`` is the number of paths per pixel, and ``denoising`` the quality of the denoiser.
     - ``origin`` is the geodetic origin, which determines the position of the sun.
     - ``change`` and ``first_new_id`` are arguments of ``simulate.place.change.change_world``.
-    - ``prepared`` is the file of a site, which is read instead of building a place.
-    - ``lens`` is a camera with distortion as ``str(Camera)``. The pinhole ``camera`` covers its
-      view. None means that the photographs have the pinhole camera.
+    - ``site_path`` is the file of a site, which is read instead of building a place.
+    - ``lens`` is a camera with distortion as ``str(Camera)``, whose view the pinhole ``camera``
+      covers. None means that the photographs have the pinhole camera.
     - ``travel`` is the displacement of the camera in world metres while a frame is read out from
       top to bottom, by frame. The pose is that of the middle row.
     - ``thermal`` adds the layer "thermal", the radiance (H, W) float32 between 8 and 14
@@ -55,7 +55,7 @@ class RenderJob(BaseModel):
     origin: Geodetic = DEFAULT_ORIGIN
     change: Change = Change()
     first_new_id: int = Field(default=0, ge=0)
-    prepared: Path | None = None
+    site_path: Path | None = None
     camera: PinholeCamera
     lens: str | None = None
     board: Board | None = None
@@ -83,7 +83,7 @@ class RenderJob(BaseModel):
 class RenderChunk(BaseModel):
     """The task of one Blender process: a job with its share of the poses.
 
-    The process ends early when its memory has grown by ``may_grow_bytes`` since its first frame,
+    The process ends early when its memory has grown by ``max_growth_bytes`` since its first frame,
     and another process continues. It also ends when the process ``parent`` ends.
     """
 
@@ -93,7 +93,7 @@ class RenderChunk(BaseModel):
     rays: Path | None  # npy (H, W, 2): x/z and y/z of the lens's pixels; None for the pinhole's
     out_dir: Path
     threads: int = Field(ge=0)  # 0 stands for one per processor
-    may_grow_bytes: int = Field(ge=0)
+    max_growth_bytes: int = Field(ge=0)
     parent: int
 
 

@@ -1,7 +1,7 @@
 """Check the system libraries that Blender's Python module needs.
 
 ``python -m simulate.render.libraries`` checks them. As root with apt it installs missing libraries;
-otherwise it prints the command that does.
+otherwise it prints the command that installs them.
 """
 
 from __future__ import annotations

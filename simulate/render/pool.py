@@ -26,7 +26,7 @@ from simulate.render.libraries import PACKAGES
 # A process ends after this many frames, which frees memory that Blender leaks.
 FRAMES_PER_PROCESS = 200
 # A process also ends when its memory has grown by this much since its first frame (bytes).
-_MAY_GROW_BYTES = 1_000_000_000
+_MAX_GROWTH_BYTES = 1_000_000_000
 
 
 class RenderError(RuntimeError):
@@ -53,8 +53,8 @@ def render(
         on_frame: called in this thread with the number of each finished frame.
 
     Raises:
-        InputError: the preset or condition is unknown, or the sun does not rise at the origin on
-            that day.
+        InputError: the preset or condition is unknown, or the origin does not have the condition's
+            light.
         RenderError: a process failed; finished frames remain.
     """
     with closing(iterate_rendering(job, out_dir, processes)) as frames:
@@ -72,7 +72,7 @@ def iterate_rendering(
     process finishes frames in the order of their numbers.
     """
     condition(job.condition, job.origin)
-    preset(job.preset, job.prepared)
+    preset(job.preset, job.site_path)
     out_dir.mkdir(parents=True, exist_ok=True)
     missing = [i for i in sorted(job.poses) if not frame_path(out_dir, i).exists()]
     if not missing:
@@ -96,7 +96,7 @@ def iterate_rendering(
                 rays=rays,
                 out_dir=out_dir.resolve(),
                 threads=threads,
-                may_grow_bytes=_MAY_GROW_BYTES,
+                max_growth_bytes=_MAX_GROWTH_BYTES,
                 parent=os.getpid(),
             )
             path = folder / f"{next(numbers)}.json"
@@ -146,7 +146,7 @@ class _BlenderProcess:
         threading.Thread(target=pump, daemon=True).start()
 
     def check(self) -> None:
-        """Raise RenderError when the process failed."""
+        """Wait for the process, and raise RenderError if it failed."""
         code = self.process.wait()
         if code == 0:
             return

@@ -1,8 +1,8 @@
 """Falling rain and snow in front of the camera, drawn over a finished picture.
 
 Drops and flakes are particles between the camera and the scene. They do not change depth, objects,
-classes or normals. Distant ones are not drawn one by one: their veil is the visibility of the
-weather. Terminal velocities: Gunn and Kinzer (1949) for rain, Locatelli and Hobbs (1974) for snow.
+classes or normals. Distant particles are not drawn, because the visibility of the weather includes
+them. Terminal velocities: Gunn and Kinzer (1949) for rain, Locatelli and Hobbs (1974) for snow.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 _NEAREST_M: Final = 0.35  # smallest distance of particles
 _EXPOSURE_S: Final = 1 / 160  # exposure time of photographs in rain and snowfall
 _NIGHT_EXPOSURE_S: Final = 1 / 30
-_DRIFT_MS: Final = 3.0  # standard deviation of the camera's horizontal speed in the air, per axis
+_DRIFT_M_S: Final = 3.0  # standard deviation of the camera's horizontal speed in the air, per axis
 _SHIFT: Final = 3  # fractional bits of OpenCV's sub-pixel drawing
 _FOCUS_M: Final = 0.6  # particles nearer than this are out of focus
 _NIGHT_LIGHT: Final = 0.35  # brightness of lamplit particles at night, relative to the sky
@@ -32,19 +32,19 @@ class _Kind(NamedTuple):
 
     Attributes:
         per_m3: Number of visible particles in a cubic metre.
-        farthest_m: Distance up to which they are drawn.
+        farthest_m: Distance up to which particles are drawn.
         diameter_m: Median diameter.
         spread: Standard deviation of the diameter's logarithm.
-        fall_ms: Speed of fall.
-        light: Brightness of a particle relative to the sky's. Drops refract its light; flakes
-            scatter it.
+        fall_m_s: Speed of fall, metres per second.
+        light: Brightness of a particle relative to the sky. Drops refract the sky's light, and
+            flakes scatter it.
     """
 
     per_m3: float
     farthest_m: float
     diameter_m: float
     spread: float
-    fall_ms: float
+    fall_m_s: float
     light: float
 
 
@@ -63,8 +63,8 @@ def precipitate(
 
     Args:
         rgb: The picture.
-        camera: Its camera. Pictures with distortion take the pinhole that covers their view.
-        cam_from_world: Its pose (4, 4), Z up.
+        camera: Camera of the picture; for a lens with distortion, the pinhole that covers its view.
+        cam_from_world: Pose (4, 4) of the picture, Z up.
         condition: The condition, whose sky lights the particles.
         rng: Generator of the particles; equal generators give equal pictures.
     """
@@ -105,7 +105,7 @@ def _draw(
     z = np.cbrt(_NEAREST_M**3 + share * (kind.farthest_m**3 - _NEAREST_M**3))
     middle = rng.random((count, 2)) * [camera.width, camera.height]
     diameter = kind.diameter_m * np.exp(kind.spread * rng.standard_normal(count))
-    air = np.array([*(_DRIFT_MS * rng.standard_normal(2)), -kind.fall_ms])
+    air = np.array([*(_DRIFT_M_S * rng.standard_normal(2)), -kind.fall_m_s])
     exposure_s = _NIGHT_EXPOSURE_S if at_night else _EXPOSURE_S
     travel = exposure_s * (cam_from_world[:3, :3] @ air)
     ray = (middle - [camera.cx, camera.cy]) / camera.f

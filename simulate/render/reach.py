@@ -15,11 +15,11 @@ REACH_M = 200.0
 
 
 class Reach:
-    """Finds the objects in a camera's view, or whose shadow or reflection may be in it.
+    """Finds the objects that are in a camera's view, or whose shadow or reflection may be.
 
     Args:
         objects: objects of a world.
-        elevation: elevation of the sun, degrees.
+        elevation: elevation of the sun, or of the moon at night, degrees.
     """
 
     def __init__(self, objects: Sequence[WorldObject], elevation: float) -> None:

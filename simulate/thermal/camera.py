@@ -1,9 +1,9 @@
 """The radiance that reaches a thermal camera from every pixel of a rendered picture.
 
-It is computed from layers that the renderer gives beside the picture, so that both have the same
-geometry. A surface emits by its temperature and emissivity, and reflects the sky and surroundings
-of the air's temperature. The air between adds its own radiance. Surfaces are not mirrored in each
-other, and every pixel shows one point.
+The radiance is computed from layers that the renderer writes with the picture, so that both have
+the same geometry. A surface emits by its temperature and emissivity, and reflects the sky and
+surroundings that have the air's temperature. The air on the path absorbs a part of this radiance
+and adds its own. Surfaces do not reflect each other, and every pixel shows one point.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ _LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722], np.float32)
 _LEAST_ALBEDO, _MOST_ALBEDO = 0.03, 0.88
 # Visible albedo above which snow begins to cover the ground, and at which the ground is all snow.
 _SNOW_ALBEDO: Final = (0.32, 0.55)
-_SNOW_KEPT: Final = 0.6  # share of level surfaces of objects under snow, in seasons of deep snow
+_SNOW_ON_OBJECTS: Final = 0.6  # share of level surfaces of objects under snow, in deep snow
 _SNOW_EMISSIVITY: Final = 0.985
 _WET_EMISSIVITY: Final = 0.97
 _WATER_EMISSIVITY: Final = 0.985
 _OPEN_GROUND: Final = ("grass", "field", "path")  # classes that floods cover
 
 
-class Baked(NamedTuple):
+class GroundImages(NamedTuple):
     """The baked images of the ground, row 0 in the south.
 
     Attributes:
         albedo: Albedo (n, n, 3) uint8 sRGB.
-        specular: Share (n, n) uint8 of 255 that mirrors, as water does.
+        specular: Specular share (n, n) uint8 of 255, which is 255 for water.
     """
 
     albedo: NDArray[np.uint8]
@@ -60,8 +60,8 @@ class ThermalCamera:
         world: The place.
         condition: The condition.
         origin: The geodetic origin of the place.
-        materials: Names of the renderer's materials, which its pass counts from 1.
-        baked: The ground as the renderer shows it.
+        materials: Names of the renderer's materials, whose numbers in its pass begin at 1.
+        ground_images: The ground as the renderer shows it.
     """
 
     def __init__(
@@ -70,9 +70,9 @@ class ThermalCamera:
         condition: Condition,
         origin: Geodetic,
         materials: Sequence[str],
-        baked: Baked,
+        ground_images: GroundImages,
     ) -> None:
-        self._world, self._condition, self._baked = world, condition, baked
+        self._world, self._condition, self._ground_images = world, condition, ground_images
         self._materials = ("", *materials)
         self._weather = thermal_weather(condition, origin)
         self._surfaces = Surfaces(self._weather, condition.wet)
@@ -89,8 +89,8 @@ class ThermalCamera:
         Args:
             layers: "depth", "instance", "semantic" and "normal" as in a scene, "material", the
                 number (H, W) of the material, and "uv", its texture coordinates (H, W, 2).
-            directions: Rays (H, W, 3) of the pixels in the world; of depth 1, metres.
-            centres: Their origins, of a shape that broadcasts to (H, W, 3), metres.
+            directions: Rays (H, W, 3) of the pixels in the world, with depth 1, metres.
+            centres: Origins of the rays, of a shape that broadcasts to (H, W, 3), metres.
 
         Raises:
             ValueError: The substance of a surface is not known.
@@ -101,9 +101,9 @@ class ThermalCamera:
         radiance = self._weather.sky_radiance(directions[..., 2] / path).astype(np.float32)
         points = np.asarray(centres + depth[..., None] * directions, np.float32)
         surface = self._emit(layers, points, shown)
-        through = np.exp(-self._weather.extinction * depth * path)
+        transmittance = np.exp(-self._weather.extinction * depth * path)
         air = band_radiance(self._weather.air_k[0])
-        radiance[shown] = (air + through * (surface - air))[shown]
+        radiance[shown] = (air + transmittance * (surface - air))[shown]
         return radiance
 
     def _emit(self, layers: Mapping[str, NDArray[Any]], points: Float, shown: Array) -> Float:
@@ -125,8 +125,8 @@ class ThermalCamera:
         ):
             emissivity += share * np.maximum(covering - emissivity, 0)
         air = band_radiance(self._weather.air_k[0])
-        around = air + sky_view * (self._weather.mean_sky_radiance - air)
-        return np.asarray(around + emissivity * (band_radiance(kelvin) - around), np.float32)
+        ambient = air + sky_view * (self._weather.mean_sky_radiance - air)
+        return np.asarray(ambient + emissivity * (band_radiance(kelvin) - ambient), np.float32)
 
     def _find_substances(
         self, layers: Mapping[str, NDArray[Any]], shown: Array
@@ -137,8 +137,10 @@ class ThermalCamera:
         if (substance < 0).any():
             row, column = np.argwhere(substance < 0)[0]
             name = next(n for n, k in CLASSES.items() if k == label[row, column])
-            of = self._materials[material[row, column]]
-            raise ValueError(f"no substance is known for the material {of!r} of the class {name!r}")
+            title = self._materials[material[row, column]]
+            raise ValueError(
+                f"no substance is known for the material {title!r} of the class {name!r}"
+            )
         for style in Facade:
             wall = shown & (material == self._number(facade_material(style)))
             if wall.any():
@@ -166,9 +168,9 @@ class ThermalCamera:
         albedo = property_array("albedo")[substance]
         infrared = property_array("infrared")[substance]
         flood = np.zeros(albedo.shape, np.float32)
-        # Snow on objects is an even cover, where the picture has patches.
+        # Snow on objects is an even cover here, whereas the picture has patches.
         level = np.clip((normal[..., 2] - 0.35) / 0.4, 0, 1)
-        snow = _SNOW_KEPT * season.snow * (1 - season.thaw) * level
+        snow = _SNOW_ON_OBJECTS * season.snow * (1 - season.thaw) * level
         colour = np.full(albedo.shape, np.nan, np.float32)
         for kind, known in self._colours.items():
             numbers = [k for k, name in enumerate(self._materials) if name.startswith(kind)]
@@ -176,20 +178,20 @@ class ThermalCamera:
             colour[of_kind] = known[instance[of_kind]]
         ground = material == self._number("ground")
         row, column = self._world.ground.texel(points[ground, 0], points[ground, 1])
-        visible = _luminance(self._baked.albedo[row, column])
+        visible = _luminance(self._ground_images.albedo[row, column])
         colour[ground] = visible
         low, high = _SNOW_ALBEDO
         white = np.clip((visible - low) / (high - low), 0, 1) if season.snow > 0 else 0.0
         snow[ground] = white
         is_open = np.isin(layers["semantic"][ground], [CLASSES[name] for name in _OPEN_GROUND])
-        flood[ground] = is_open * self._baked.specular[row, column] / np.float32(255)
+        flood[ground] = is_open * self._ground_images.specular[row, column] / np.float32(255)
         known = np.clip(infrared * colour, _LEAST_ALBEDO, _MOST_ALBEDO)
         return np.where(np.isnan(colour), albedo, known), snow, flood
 
     def _gather_sunlight(
         self, substance: NDArray[np.int16], points: Float, normal: Float, sky_view: Float
     ) -> Float:
-        """Return the irradiance (H, W) of past hours by the weights of the substances, W/m2."""
+        """Return the irradiance (H, W) of past hours, weighted as the substances need, W/m2."""
         weights = self._surfaces.weights.astype(np.float32)
         gathered = np.zeros(substance.shape, np.float32)
         for k in range(HOURS):

@@ -22,7 +22,7 @@ _ENGINES: Final[dict[str, tuple[float, float]]] = {
 # Excess temperatures of vehicles in traffic: of the bonnet, and of the low parts (tyres, brakes and
 # exhaust). Low parts lie below this height from the vehicle's centre, as a share of its height.
 _ENGINE_K: Final = 22.0
-_UNDER_K: Final = 9.0
+_LOW_PARTS_K: Final = 9.0
 _LOW_SHARE: Final = -0.22
 _COOLING_H: Final = 0.7  # time constant of an engine that was switched off
 _PARKED_H: Final = 5.0  # mean time for which vehicles have been parked
@@ -64,7 +64,7 @@ class Engines:
         frame, engine = self._frame[ids], self._engine[ids]
         offset = points[warm] - frame[:, :3]
         along = (offset[:, 0] * frame[:, 3] + offset[:, 1] * frame[:, 4]) / frame[:, 5]
-        under = np.clip((_LOW_SHARE - offset[:, 2] / frame[:, 6]) / 0.1, 0, 1)
+        low = np.clip((_LOW_SHARE - offset[:, 2] / frame[:, 6]) / 0.1, 0, 1)
         front = np.clip((along - engine[:, 0]) / engine[:, 1], 0, 1)
-        heat[warm] = self._warmth[ids] * np.maximum(_ENGINE_K * front, _UNDER_K * under)
+        heat[warm] = self._warmth[ids] * np.maximum(_ENGINE_K * front, _LOW_PARTS_K * low)
         return heat

@@ -18,7 +18,7 @@ BAND_M: Final = (8e-6, 14e-6)
 """Limits of the band, metres."""
 LOWEST_K: Final = 100.0
 HIGHEST_K: Final = 655.35
-"""Temperatures between which radiances are known, kelvin. The highest is that of 16 bits."""
+"""Limits of the temperatures in the table, kelvin. The highest is the largest 16-bit count."""
 
 _H: Final = 6.62607015e-34  # Planck constant, J s
 _C: Final = 299792458.0  # speed of light, m/s
@@ -41,7 +41,7 @@ def integrate_planck(kelvin: ArrayLike) -> Array:
 
 @cache
 def _table() -> tuple[Array, Array]:
-    """Return temperatures, and the radiance at each."""
+    """Return the temperatures of the table, and the radiance at each."""
     count = round((HIGHEST_K - LOWEST_K) / _STEP_K) + 1
     kelvin = np.linspace(LOWEST_K, HIGHEST_K, count)
     return kelvin, integrate_planck(kelvin)
@@ -50,7 +50,7 @@ def _table() -> tuple[Array, Array]:
 def band_radiance(kelvin: ArrayLike) -> Array:
     """Return the radiance of a black body in the band, W/(m2 sr), from a table.
 
-    Temperatures outside ``LOWEST_K`` to ``HIGHEST_K`` take the nearest of the two.
+    Temperatures are clipped to ``LOWEST_K`` and ``HIGHEST_K``.
     """
     return np.asarray(np.interp(np.asarray(kelvin, float), *_table()))
 
@@ -58,7 +58,7 @@ def band_radiance(kelvin: ArrayLike) -> Array:
 def brightness_temperature(radiance: ArrayLike) -> Array:
     """Return the temperature, kelvin, of a black body of a radiance; inverse of ``band_radiance``.
 
-    Radiances outside those of ``LOWEST_K`` to ``HIGHEST_K`` take the nearest of the two.
+    The result is clipped to ``LOWEST_K`` and ``HIGHEST_K``.
     """
     kelvin, values = _table()
     return np.asarray(np.interp(np.asarray(radiance, float), values, kelvin))

@@ -25,10 +25,10 @@ BLUR_PX: Final = 0.6
 
 _NOISE_AT_K: Final = 300.0
 _KELVIN_PER_COUNT: Final = 0.01
-# Level surfaces look colder by up to this, because they mirror the sky.
-_MIRRORED_K: Final = 3.0
-# Substances that mirror the sky or are small do not widen the range of 8 bits.
-_UNUSUAL: Final = ("bare sheet", "solar cell", "rubber", "iron")
+# Level surfaces look colder by up to this, because they reflect the sky.
+_SKY_REFLECTION_K: Final = 3.0
+# Substances that do not widen the range of 8 bits, because they reflect the sky or are small.
+_IGNORED: Final = ("bare sheet", "solar cell", "rubber", "iron")
 
 
 def describe_thermal(condition: Condition, origin: Geodetic) -> Thermal:
@@ -38,7 +38,7 @@ def describe_thermal(condition: Condition, origin: Geodetic) -> Thermal:
     """
     weather = thermal_weather(condition, origin)
     low, high = _level_range(weather, condition.wet)
-    low -= _MIRRORED_K
+    low -= _SKY_REFLECTION_K
     return Thermal(
         kelvin_per_count=_KELVIN_PER_COUNT,
         netd_k=NETD_K,
@@ -49,9 +49,12 @@ def describe_thermal(condition: Condition, origin: Geodetic) -> Thermal:
 
 
 def _level_range(weather: ThermalWeather, wet: float) -> tuple[float, float]:
-    """Return the temperatures of the coldest and the warmest usual level surface, kelvin."""
+    """Return the temperatures of the coldest and the warmest level surface, kelvin.
+
+    Substances in ``_IGNORED`` are left out.
+    """
     surfaces = Surfaces(weather, wet)
-    usual = np.array([k for k, name in enumerate(NAMES) if name not in _UNUSUAL], np.int16)
+    usual = np.array([k for k, name in enumerate(NAMES) if name not in _IGNORED], np.int16)
     lit = weather.diffuse_w + weather.direct_w * np.maximum(weather.sun[:, 2], 0)
     albedo, ones = property_array("albedo")[usual], np.ones(len(usual), np.float32)
     by_light = [
@@ -66,7 +69,7 @@ def expose_thermal(
 ) -> NDArray[np.uint16]:
     """Return the counts (H, W) of a thermal camera that receives a radiance (H, W), W/(m2 sr).
 
-    The noise is constant in radiance, so that cold scenes have more of it in kelvin. Equal
+    The noise is constant in radiance, so that it is larger in kelvin in cold scenes. Equal
     generators give equal pictures.
     """
     slope = band_radiance(_NOISE_AT_K + 0.5) - band_radiance(_NOISE_AT_K - 0.5)

@@ -1,4 +1,4 @@
-"""Which points lie in the shade of the place, at each hour that surfaces remember.
+"""Find the points in the shade of the place, now and at the past hours that warmed the surfaces.
 
 Terrain and objects are heights on a grid. A point is in the shade if the grid towards the sun rises
 above the ray to the sun. Shade maps hold the height up to which the shade reaches in each cell.
@@ -22,8 +22,9 @@ _MOST_CELLS: Final = 1200  # per side
 _OUTSIDE_M: Final = -1e4  # height beyond the place, where nothing gives shade
 # Classes whose shade is ignored, because they are thin or let the sky through.
 _THIN: Final = ("wire", "pole", "lamp", "sign", "fence", "crane", "bollard", "hydrant")
-# Height over which the edge of a shadow fades: now, and in past hours, in which the sun moved on.
-_SOFT_M, _SOFT_OF_AN_HOUR_M = 0.5, 2.5
+# Height over which the edge of a shadow fades: now, and at past hours, each of which stands for an
+# hour of the sun's motion.
+_FADE_M, _HOURLY_FADE_M = 0.5, 2.5
 # Height of the solid part of objects, as a share of the height of their box. Masts give no shade.
 _SOLID: Final[dict[str, float]] = {"boat": 0.3}
 # Shade must exceed a point by this height, so that a point is not shaded by its own cell.
@@ -50,20 +51,20 @@ class Shade:
         Args:
             k: Number of the time; 0 is the present.
             points: World points (H, W, 3), metres.
-            normals: Unit normals (H, W, 3) of their surfaces.
+            normals: Unit normals (H, W, 3) of the surfaces at the points.
         """
         top = self._maps[k]
         if top is None:
             return np.ones(points.shape[:2], np.float32)
-        # A step away from the surface, so that a wall is not in its own shade.
+        # Points are moved away from the surface, so that a wall is not in its own shade.
         at = (points[..., :2] + self._cell_m * normals[..., :2]) / self._cell_m
         column, row = np.moveaxis(at + (0.5 * self._n - 0.5), -1, 0).astype(np.float32)
         reach = cv2.remap(
             top, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT,
             borderValue=_OUTSIDE_M,
         )  # fmt: skip
-        soft = _SOFT_M if k == 0 else _SOFT_OF_AN_HOUR_M
-        return np.asarray(np.clip((reach - points[..., 2] - _CLEAR_M) / soft, 0, 1))
+        fade = _FADE_M if k == 0 else _HOURLY_FADE_M
+        return np.asarray(np.clip((reach - points[..., 2] - _CLEAR_M) / fade, 0, 1))
 
 
 def _terrain(world: World, n: int, cell_m: float) -> Float:
@@ -144,7 +145,7 @@ def _cast(height: Float, cell_m: float, sun: Array) -> Float:
 
 
 def _step(height: Float, towards: Array, cells: float) -> Float:
-    """Return the heights (n, n) at positions ``cells`` further towards a direction (2,)."""
+    """Return the heights (n, n) at positions moved by ``cells`` in a unit direction (2,)."""
     move = np.array([[1.0, 0.0, cells * towards[0]], [0.0, 1.0, cells * towards[1]]])
     moved = cv2.warpAffine(
         height, move, height.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,

@@ -2,8 +2,8 @@
 
 Albedos and emissivities are rounded values within the ranges of Oke, Boundary Layer Climates (2nd
 edition, 1987), for natural and urban materials, and of the emissivity tables of manufacturers of
-thermal cameras for glass, paint and rubber. Time constants are those of the layer that follows the
-weather of the last hours: its heat capacity divided by the heat transfer.
+thermal cameras for glass, paint and rubber. A time constant is the heat capacity of the layer at
+the surface, which follows the weather of the last hours, divided by its heat transfer.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from objconnect.scene.bundle.labels import CLASSES, FIRST_OBJECT_LABEL
 from simulate.look.textures import facade_material
 from simulate.place.world import Facade
 
-Behind = Literal["ground", "water", "indoors"]
+Backing = Literal["ground", "water", "indoors"]
 
 
 class Substance(NamedTuple):
     """A substance at a surface.
 
     Attributes:
-        albedo: Share of sunlight that it reflects, where its colour is not known.
-        infrared: Ratio of the albedo in sunlight to that of the visible colour, used where the
-            colour is known. Leaves reflect far more near infrared than light.
+        albedo: Share of sunlight that is reflected, used if the colour is not known.
+        infrared: Ratio of the albedo in sunlight to the albedo in visible light, used if the colour
+            is known. Leaves reflect far more near infrared than light.
         emissivity: Emissivity between 8 and 14 micrometres.
-        hours: Time constant of its temperature, hours.
+        hours: Time constant of the temperature, hours.
         transfer: Heat transfer to the air by convection, W/(m2 K), in light wind.
         evaporation: Share of the absorbed sunlight that evaporates water.
         conductance: Heat transfer to the ground, water or room behind the surface, W/(m2 K).
-        behind: Which of these lies behind the surface.
+        backing: What lies behind the surface.
     """
 
     albedo: float
@@ -44,13 +44,13 @@ class Substance(NamedTuple):
     transfer: float = 12.0
     evaporation: float = 0.0
     conductance: float = 0.0
-    behind: Behind = "indoors"
+    backing: Backing = "indoors"
 
 
 SUBSTANCES: Final[dict[str, Substance]] = {
-    "asphalt": Substance(0.10, 1.1, 0.95, 2.5, conductance=4.0, behind="ground"),
-    "concrete": Substance(0.28, 1.1, 0.94, 2.5, conductance=5.0, behind="ground"),
-    "gravel": Substance(0.28, 1.1, 0.93, 1.5, conductance=5.0, behind="ground"),
+    "asphalt": Substance(0.10, 1.1, 0.95, 2.5, conductance=4.0, backing="ground"),
+    "concrete": Substance(0.28, 1.1, 0.94, 2.5, conductance=5.0, backing="ground"),
+    "gravel": Substance(0.28, 1.1, 0.93, 1.5, conductance=5.0, backing="ground"),
     "grass": Substance(0.22, 2.3, 0.98, 0.4, 14.0, 0.55, 2.0, "ground"),
     "soil": Substance(0.18, 1.6, 0.96, 1.2, 12.0, 0.30, 4.0, "ground"),
     "water": Substance(0.07, 1.0, 0.985, 6.0, 12.0, 0.0, 400.0, "water"),
@@ -58,7 +58,7 @@ SUBSTANCES: Final[dict[str, Substance]] = {
     "wood": Substance(0.30, 1.2, 0.91, 0.5),
     "straw": Substance(0.35, 1.2, 0.95, 0.5),
     "masonry": Substance(0.32, 1.0, 0.92, 4.0, conductance=0.8),
-    "stone": Substance(0.30, 1.0, 0.92, 3.0, conductance=3.0, behind="ground"),
+    "stone": Substance(0.30, 1.0, 0.92, 3.0, conductance=3.0, backing="ground"),
     "tile": Substance(0.25, 1.2, 0.92, 0.8, 14.0, conductance=0.4),
     "slate": Substance(0.12, 1.1, 0.90, 0.7, 14.0, conductance=0.4),
     "bitumen": Substance(0.12, 1.0, 0.92, 0.9, 14.0, conductance=0.3),
@@ -73,7 +73,7 @@ SUBSTANCES: Final[dict[str, Substance]] = {
 """Every substance by its name."""
 
 NAMES: Final = tuple(SUBSTANCES)
-"""The names of the substances; their numbers are the positions."""
+"""The names of the substances. The number of a substance is its position here."""
 
 # Substance of the ground by class. The ground of a site includes buildings and trees.
 _GROUND: Final[dict[str, str]] = {
@@ -118,7 +118,7 @@ _OBJECTS: Final[dict[str, str]] = {
     "grave": "stone",
     "crane": "bodywork",
 }
-# Substance by material, of materials that belong to one.
+# Substance by material, of materials that determine the substance alone.
 _COATINGS: Final[dict[str, str]] = {
     **{facade_material(style): "masonry" for style in Facade},
     facade_material(Facade.HALL_CLADDING): "painted sheet",
@@ -141,7 +141,7 @@ def substance_name(material: str, class_name: str) -> str:
     """Return the substance of a surface by its material in the picture and its class.
 
     Raises:
-        ValueError: No substance is known for the two.
+        ValueError: No substance is known for this combination.
     """
     is_object = CLASSES[class_name] >= FIRST_OBJECT_LABEL
     if class_name in _GROUND and (material == "ground" or (material == "plain" and not is_object)):
@@ -164,8 +164,8 @@ def substance_name(material: str, class_name: str) -> str:
 def substance_table(materials: Sequence[str]) -> NDArray[np.int16]:
     """Return the number of the substance (materials + 1, 256) by material and class label.
 
-    Materials are counted from 1, as in the renderer's pass. The number is -1 where no surface has
-    the two.
+    Materials are counted from 1, as in the renderer's pass. The number is -1 for combinations that
+    no surface has.
     """
     table = np.full((len(materials) + 1, 256), -1, np.int16)
     for row, material in enumerate(materials, 1):

@@ -1,9 +1,10 @@
 """The temperature of surfaces: each follows sun, air and sky with the delay of its substance.
 
-A thin layer takes sunlight, and exchanges heat with the air, the sky and what lies behind it. Its
-balance is linear in its temperature, so that it tends to an equilibrium with a time constant, and
-its temperature is the mean of the equilibria of past hours with exponentially falling weights
-(lumped capacity; Incropera et al., Fundamentals of Heat and Mass Transfer, chapter 5).
+A thin layer absorbs sunlight, and exchanges heat with the air, the sky and the ground, water or
+room behind it. Its energy balance is linear in its temperature. The temperature therefore tends to
+an equilibrium with a time constant, and is the mean of the equilibria of past hours with
+exponentially falling weights (lumped capacity; Incropera et al., Fundamentals of Heat and Mass
+Transfer, chapter 5).
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ class Surfaces:
     """
 
     def __init__(self, weather: ThermalWeather, wet: float) -> None:
-        behind = {"ground": weather.ground_k, "water": weather.water_k, "indoors": _INDOORS_K}
+        backing_k = {"ground": weather.ground_k, "water": weather.water_k, "indoors": _INDOORS_K}
         emissivity = property_array("emissivity")
         radiative = emissivity * 4 * STEFAN_BOLTZMANN * float(weather.air_k[0]) ** 3
         conductance = property_array("conductance")
@@ -43,8 +44,10 @@ class Surfaces:
         decay = np.exp(-np.arange(HOURS)[None, :] / property_array("hours")[:, None])
         self.weights = decay / decay.sum(1, keepdims=True)
         air = self.weights @ weather.air_k
-        inner = np.array([behind[SUBSTANCES[name].behind] for name in NAMES])
-        self._at_rest = (air + conductance / exchange * (inner - air)).astype(np.float32)
+        inner = np.array([backing_k[SUBSTANCES[name].backing] for name in NAMES])
+        # Temperature (K) without sunlight and sky, and the effects of a full view of the sky (K)
+        # and of absorbed sunlight (K per W/m2).
+        self._base_k = (air + conductance / exchange * (inner - air)).astype(np.float32)
         self._loss = (emissivity * weather.loss_w / exchange).astype(np.float32)
         evaporation = np.maximum(property_array("evaporation"), _WET_EVAPORATION * wet)
         self._gain = ((1 - evaporation) / exchange).astype(np.float32)
@@ -55,14 +58,14 @@ class Surfaces:
         """Return the temperature of surfaces of any one shape, kelvin.
 
         Args:
-            substance: Numbers of their substances.
-            albedo: Shares of sunlight that they reflect.
+            substance: Numbers of the substances.
+            albedo: Shares of sunlight that the surfaces reflect.
             sunlight: Irradiance averaged over the past hours with the weights of the substance,
                 W/m2.
-            sky_view: Shares of the sky in the half space that they face, 0 to 1.
+            sky_view: Shares of the sky in the half space that the surfaces face, 0 to 1.
         """
         return np.asarray(
-            self._at_rest[substance]
+            self._base_k[substance]
             - self._loss[substance] * sky_view
             + self._gain[substance] * (1 - albedo) * sunlight,
             np.float32,

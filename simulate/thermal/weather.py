@@ -2,10 +2,11 @@
 
 Sources:
     Emissivity of a clear sky, whole and from 8 to 14 micrometres, by the vapour pressure: Idso,
-    Water Resources Research 17 (1981) 295. Clouds close the rest: Kimball, Idso and Aase, ibid. 18
-    (1982) 931. Saturation pressure: Magnus' formula. Direct sunlight: Meinel and Meinel, Applied
-    Solar Energy (1976). The air's temperature is that of a mean year in the lowlands of Central
-    Europe, with 0.6 K per degree of latitude and 6.5 K per kilometre.
+    Water Resources Research 17 (1981) 295. Radiation of clouds through the transparent part of the
+    sky: Kimball, Idso and Aase, ibid. 18 (1982) 931. Saturation pressure: Magnus' formula. Direct
+    sunlight: Meinel and Meinel, Applied Solar Energy (1976). The air's temperature is that of a
+    mean year in the lowlands of Central Europe. It falls by 0.6 K per degree of latitude and by
+    6.5 K per kilometre of height.
 """
 
 from __future__ import annotations
@@ -30,14 +31,15 @@ ZERO_C: Final = 273.15
 STEFAN_BOLTZMANN: Final = 5.670374419e-8
 """Radiated power of a black body, W/(m2 K4)."""
 HOURS: Final = 13
-"""Number of hours, the present one included, over which surfaces remember the weather."""
+"""Number of hours, with the present one, whose weather affects the temperature of surfaces."""
 
 _SOLAR_W: Final = 1353.0  # solar constant in Meinel's formula, W/m2
-_DIFFUSE, _DIFFUSE_OF_CLOUD = 0.11, 0.16  # shares of sunlight that the sky scatters down
+# Shares of sunlight that a clear sky scatters down, and that clouds add.
+_DIFFUSE, _DIFFUSE_OF_CLOUD = 0.11, 0.16
 _LEAST_SUN_DEG: Final = 2.0  # below it, the direct sun is left out
 _WARMEST_HOUR: Final = 15.0
-# Half the difference between day and night under a clear sky and under clouds, and the share of it
-# that remains over snow.
+# Half the difference between day and night under a clear sky and under clouds, and the share of
+# this difference that remains over snow.
 _SWING_K, _SWING_OF_CLOUD_K = 6.0, 2.0
 _SWING_OVER_SNOW: Final = 0.6
 # The base of clouds is colder than the air at the ground by this.
@@ -47,7 +49,7 @@ _DIFFUSIVITY: Final = 1.66
 # Extinction by water vapour between 8 and 14 micrometres, 1/m per hPa: about 30 % in a kilometre of
 # summer air.
 _VAPOUR_EXTINCTION: Final = 2.5e-5
-_FOG_M: Final = 1000.0  # with less visibility, droplets are as large as the wavelength
+_FOG_M: Final = 1000.0  # at a lower visibility, droplets are as large as the wavelength
 # Extinction by fog, rain and snowfall in the thermal band, divided by that of light.
 _FOG_EXTINCTION: Final = 0.5
 
@@ -64,7 +66,7 @@ class ThermalWeather:
         loss_w: Power that a level black surface of the air's temperature loses to the sky, W/m2.
         ground_k: Temperature below the surface of the ground, kelvin.
         water_k: Temperature of lakes and basins, kelvin.
-        zenith: Transmittance of the clear sky straight up, in the band.
+        zenith_transmittance: Transmittance of the clear sky straight up, in the band.
         cloud: Cloud cover, 0 to 1.
         extinction: Extinction of the air in the band, 1/m.
     """
@@ -76,7 +78,7 @@ class ThermalWeather:
     loss_w: float
     ground_k: float
     water_k: float
-    zenith: float
+    zenith_transmittance: float
     cloud: float
     extinction: float
 
@@ -89,18 +91,18 @@ class ThermalWeather:
         """Return the radiance of the sky in the band, W/(m2 sr), at directions of any shape.
 
         Args:
-            up: Sines of their elevations. At and below the horizon, the sky is as warm as the air.
+            up: Sines of the elevations. At and below the horizon, the sky is as warm as the air.
         """
         path = np.minimum(1 / np.maximum(up, 1e-3), 40.0)
-        return self._mix(self.zenith**path)
+        return self._mix(self.zenith_transmittance**path)
 
     @property
     def mean_sky_radiance(self) -> float:
         """Return the radiance of the sky in the band that level ground receives, W/(m2 sr)."""
-        return float(self._mix(np.array(self.zenith**_DIFFUSIVITY)))
+        return float(self._mix(np.array(self.zenith_transmittance**_DIFFUSIVITY)))
 
     def _mix(self, clear: Array) -> Array:
-        """Return the radiance of a sky whose air lets the share ``clear`` pass."""
+        """Return the radiance of a sky whose air has the transmittance ``clear``."""
         air, clouds = band_radiance(self.air_k[0]), band_radiance(self.cloud_k)
         return np.asarray((1 - clear) * air + clear * self.cloud * clouds)
 
@@ -122,7 +124,7 @@ def thermal_weather(condition: Condition, origin: Geodetic) -> ThermalWeather:
     )  # fmt: skip
     clear = np.array([_direct(degrees) for degrees in np.degrees(elevation)])
     diffuse = _SOLAR_W * (_DIFFUSE + _DIFFUSE_OF_CLOUD * weather.cloud)
-    # More of the air is saturated under clouds.
+    # The relative humidity is higher under clouds.
     humidity = 0.65 + 0.25 * weather.cloud
     vapour_hpa = humidity * _saturation_hpa(mean_c)
     now = float(air_k[0])
@@ -139,7 +141,7 @@ def thermal_weather(condition: Condition, origin: Geodetic) -> ThermalWeather:
         loss_w=STEFAN_BOLTZMANN * now**4 - sky_w,
         ground_k=ZERO_C + mean_c + 1.0,
         water_k=ZERO_C + _water_c(condition, origin),
-        zenith=max(1 - window, 0.0) ** (1 / _DIFFUSIVITY),
+        zenith_transmittance=max(1 - window, 0.0) ** (1 / _DIFFUSIVITY),
         cloud=weather.cloud,
         extinction=_VAPOUR_EXTINCTION * vapour_hpa + _droplets(condition),
     )
@@ -148,7 +150,7 @@ def thermal_weather(condition: Condition, origin: Geodetic) -> ThermalWeather:
 def _mean_air_c(condition: Condition, origin: Geodetic) -> float:
     """Return the mean temperature of the air on the day, degrees Celsius.
 
-    Snow lies at -2 degrees or less, and melts at 4 or less.
+    Lying snow limits the temperature to -2 degrees, and snow in full thaw to 4 degrees.
     """
     mean = _yearly_c(condition, origin, coldest_day=22.0)
     if condition.season.snow > 0:

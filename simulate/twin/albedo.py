@@ -12,9 +12,9 @@ from simulate.twin.classes import WATER
 Float = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-# Tone curve of the renderer (AgX, base contrast): display value of grey, and log2 of the scene
-# value that gives it. Cameras have similar curves. Rendering applies it again.
-_SHOWN = np.linspace(0, 1, 33)
+# Tone curve of the renderer (AgX, base contrast): display values of grey, and log2 of the scene
+# values that give them. Cameras have similar curves. Rendering applies the curve again.
+_DISPLAY_VALUES = np.linspace(0, 1, 33)
 _STOPS = np.array(
     [-10, -7.766, -6.884, -6.198, -5.644, -5.174, -4.768, -4.407, -4.092, -3.806, -3.535, -3.295,
      -3.06, -2.845, -2.631, -2.425, -2.22, -2.006, -1.791, -1.561, -1.328, -1.073, -0.811, -0.524,
@@ -23,33 +23,33 @@ _STOPS = np.array(
 # Light that a rough surface model reflects, relative to a level plane. It is less than 1, because
 # rough surfaces shade a part of themselves.
 _SELF_SHADING = 0.81
-_DARKEST, _BRIGHTEST = 0.008, 0.85  # albedo of real surfaces
+_DARKEST, _BRIGHTEST = 0.008, 0.85  # limits of the albedo of real surfaces
 _MAX_GAIN = 5.0  # upper bound of the brightening of shadows
 _WALL_LEVELNESS, _WALL_BLUR_M = 0.6, 1.0  # maximum levelness of a wall, and blur of its colours (m)
 _SEAM_M = 0.4  # width of the transition at the edge of a shadow
 _MIN_CELLS = 200  # minimum number of sunny and of shaded cells of a class to measure its gain
 
 
-def estimate_albedo(rgb: Float, shown_in: Condition, mean_albedo: float | None = None) -> Float:
+def estimate_albedo(rgb: Float, condition: Condition, mean_albedo: float | None = None) -> Float:
     """Invert a camera's tone curve and exposure.
 
     Args:
         rgb: colours (n, n, 3) in 0..255.
-        shown_in: condition in which rendering reproduces these colours.
+        condition: condition under which rendering reproduces these colours.
         mean_albedo: mean albedo of the site, which overrides the exposure.
 
     Returns:
         Linear albedo (n, n, 3).
     """
-    table = np.exp2(np.interp(np.arange(256) / 255, _SHOWN, _STOPS)).astype(np.float32)
+    table = np.exp2(np.interp(np.arange(256) / 255, _DISPLAY_VALUES, _STOPS)).astype(np.float32)
     linear = table[np.clip(np.rint(rgb), 0, 255).astype(np.uint8)]
-    scale = 1 / _brightness(shown_in) if mean_albedo is None else mean_albedo / linear.mean()
+    scale = 1 / _brightness(condition) if mean_albedo is None else mean_albedo / linear.mean()
     linear *= np.float32(scale)
     return np.clip(linear, _DARKEST, _BRIGHTEST, out=linear)
 
 
 def _brightness(condition: Condition) -> float:
-    """Return the exposed value of level white ground in a condition."""
+    """Return the exposed value of level white ground under a condition."""
     sky = condition.sky.strength * (sum(condition.sky.zenith) + sum(condition.sky.horizon)) / 6
     sun = condition.sun.watts * np.sin(np.radians(condition.sun.elevation)) / np.pi
     return float(_SELF_SHADING * 2**condition.exposure * (sun + sky))

@@ -25,19 +25,19 @@ from simulate.twin.photographs import Photograph, sample_photographs
 from simulate.twin.report import SiteReport
 from simulate.twin.sampling import (
     Cells,
-    inner_square,
-    outer_square,
+    inner_half_side,
+    outer_half_side,
     sample_colours,
     sample_heights,
     sample_labels,
 )
 from simulate.twin.snow import snow_share
 from simulate.twin.source import Files, open_rasters
-from simulate.twin.terrain import close_holes, drop_islands, find_sunlit, ground_below, levelness
+from simulate.twin.terrain import close_holes, drop_islands, estimate_ground, find_sunlit, levelness
 
 Float = NDArray[np.float32]
 
-# Maximum sizes and minimum spacings of texture and surface; larger places are coarser.
+# Maximum sizes and minimum spacings of texture and surface; larger places have wider spacings.
 _MOST_TEXELS, _LEAST_TEXEL_M = 6144, 0.05
 _MOST_NODES, _LEAST_SPACING_M = 1601, 0.2
 _NOTED_SHARE = 0.005  # a larger share of holes is noted in the report
@@ -58,9 +58,9 @@ def build_site(
     """Build the place of a site.
 
     Args:
-        site: Its files.
+        site: Files of the site.
         side_m: Side of the place, metres.
-        origin: Origin of its world, at its centre.
+        origin: Origin of the world, at the centre of the place.
         seed: Random seed of snow and puddles.
         temporary_root: Folder in which temporary files are written.
 
@@ -97,7 +97,7 @@ def _build(
         rgb[..., 0], grids.texels, grids.margin_m, site.most_holes, "orthophoto"
     )
     rgb, _ = close_holes(rgb, texel_m)
-    bare_ground = ground_below(surface, grids.nodes.spacing_m)
+    bare_ground = estimate_ground(surface, grids.nodes.spacing_m)
     unknown = _interpolate(closed.astype(np.float32), n) > 0.5
     classes = classify(rgb, texel_heights, _interpolate(bare_ground, n), texel_m, unknown)
     if site.classes is not None:
@@ -132,15 +132,15 @@ def _build(
 def _grids(files: Files, side_m: float, origin: Geodetic) -> _Grids:
     """Choose the grids of a place, with a margin around it where the rasters have data."""
     rasters = (files.colours, files.heights)
-    known_m = inner_square(rasters, origin)
+    known_m = inner_half_side(rasters, origin)
     if known_m <= 0:
         raise InputError(
             f"{files.colours.path.name} and {files.heights.path.name} do not both show the origin "
             f"at latitude {origin.latitude:.5f}, longitude {origin.longitude:.5f}: give rasters of "
             "that place, or leave the origin out"
         )
-    if files.photographs:  # photographs colour the surroundings as far as they show them
-        known_m = outer_square(files.colours, origin)
+    if files.photographs:  # beyond the rasters, photographs give colours
+        known_m = outer_half_side(files.colours, origin)
     margin_m = float(np.clip(known_m - 0.5 * side_m, 0.0, MIRRORED_M))
     half_m = 0.5 * side_m + margin_m
     pixel, height_pixel = max(files.colours.grid.ground_pixel), max(files.heights.grid.ground_pixel)
@@ -186,7 +186,7 @@ def _fill_from_photographs(
 ) -> Float:
     """Fill holes of the colours (n, n, 3) from photographs.
 
-    The surface (n, n) is interpolated in such holes, so that objects appear flat there.
+    The heights (n, n) are interpolated in such holes, so that objects appear flat there.
     """
     rows, columns = np.nonzero(~np.isfinite(rgb[..., 0]))
     if not photographs or not len(rows):

@@ -29,8 +29,8 @@ NAMES: Final = {
 _HIGH_M = 1.8  # minimum height of buildings and trees above the ground
 _GREEN = 0.035  # minimum excess of green, see ``_excess_green``
 _SCALE_M = 0.6  # standard deviation of the blur of colours
-# Minimum deviation (m) of a crown from a plane if it is green, and if it is faintly green, like dry
-# leaves; and minimum excess of green that counts as faint.
+# Minimum deviation (m) of a crown from a plane if the crown is green, and if it is faintly green
+# like dry leaves; and minimum excess of green of a faintly green crown.
 _GREEN_ROUGH_M, _FAINT_ROUGH_M, _FAINT = 0.2, 0.5, 0.015
 _GRAINY = 0.25  # minimum grain of leaves with their shadows; lawns have 0.1 to 0.15
 _LEVEL = 0.06  # maximum slope of water
@@ -77,7 +77,7 @@ def classify(
 
 
 def apply_mask(mask: Labels, classified: Labels) -> Labels:
-    """Return the classes of a mask, and the classified ones where it is 0.
+    """Return the classes of a mask, with ``classified`` where the mask is 0.
 
     Raises:
         InputError: The mask has other values.
@@ -103,8 +103,8 @@ def _grain(rgb: Float, cell_m: float) -> Float:
     value = rgb.mean(-1)
     sigma = 1.0 / cell_m
     mean = cv2.GaussianBlur(value, (0, 0), sigma)
-    spread = cv2.GaussianBlur(value * value, (0, 0), sigma) - mean * mean
-    return np.asarray(np.sqrt(np.maximum(spread, 0)) / np.maximum(mean, 1))
+    variance = cv2.GaussianBlur(value * value, (0, 0), sigma) - mean * mean
+    return np.asarray(np.sqrt(np.maximum(variance, 0)) / np.maximum(mean, 1))
 
 
 def _water(rgb: Float, blurred: Float, surface: Float, above_ground: Float, cell_m: float) -> Mask:
@@ -112,8 +112,8 @@ def _water(rgb: Float, blurred: Float, surface: Float, above_ground: Float, cell
     value = rgb.mean(-1) / np.float32(255)
     sigma = 1.5 / cell_m
     mean = cv2.GaussianBlur(value, (0, 0), sigma)
-    spread = cv2.GaussianBlur(value * value, (0, 0), sigma) - mean * mean
-    calm = np.sqrt(np.maximum(spread, 0)) < _CALM
+    variance = cv2.GaussianBlur(value * value, (0, 0), sigma) - mean * mean
+    calm = np.sqrt(np.maximum(variance, 0)) < _CALM
     smooth = cv2.GaussianBlur(surface, (0, 0), sigma)
     north, east = np.gradient(smooth, cell_m)
     level = (np.hypot(north, east) < _LEVEL) & (np.abs(surface - smooth) < 0.1)
@@ -125,7 +125,7 @@ def _water(rgb: Float, blurred: Float, surface: Float, above_ground: Float, cell
     wide = _drop_small_patches(
         cv2.morphologyEx(sure, cv2.MORPH_OPEN, disc) > 0, _LEAST_WATER_M2, cell_m
     )
-    # The shore fails the tests of smoothness and level within their radius.
+    # Cells near the shore fail the tests for smooth and level water, whose filters cross the shore.
     shore = cv2.dilate(wide.astype(np.uint8), disc, iterations=2)
     return np.asarray(wide | (is_waterlike & (shore > 0)))
 
@@ -141,7 +141,7 @@ def _drop_small_patches(mask: Mask, least_m2: float, cell_m: float) -> Mask:
 def _roughness(above_ground: Float, high: Mask, cell_m: float) -> Float:
     """Return the deviation of heights from a local plane, (n, n) metres, 0 outside of ``high``.
 
-    Only heights of ``high`` count, so that the edge of a flat roof is not rough.
+    Heights outside ``high`` are ignored, so that the edge of a flat roof is not rough.
     """
     weight = high.astype(np.float32)
     sigma = 1.0 / cell_m
@@ -150,14 +150,14 @@ def _roughness(above_ground: Float, high: Mask, cell_m: float) -> Float:
         total = cv2.GaussianBlur(values * weight, (0, 0), sigma)
         return np.asarray(total / np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), 1e-3))
 
-    # At edges the mean of a sloping roof is biased, so it deviates there. Averaging dampens that.
+    # At its edges, a sloping roof deviates from the biased mean. Averaging dampens this deviation.
     plane = mean(above_ground)
     return np.asarray(mean(np.abs(above_ground - plane)) * weight)
 
 
-def _majority(mask: Mask, among: Mask, cell_m: float) -> Mask:
-    """Return where most cells of ``among`` within about a metre are in ``mask``, (n, n)."""
+def _majority(mask: Mask, region: Mask, cell_m: float) -> Mask:
+    """Return where most cells of ``region`` within about a metre are in ``mask``, (n, n)."""
     sigma = 1.2 / cell_m
-    weight = cv2.GaussianBlur(among.astype(np.float32), (0, 0), sigma)
-    share = cv2.GaussianBlur((mask & among).astype(np.float32), (0, 0), sigma)
+    weight = cv2.GaussianBlur(region.astype(np.float32), (0, 0), sigma)
+    share = cv2.GaussianBlur((mask & region).astype(np.float32), (0, 0), sigma)
     return np.asarray(share > 0.5 * weight)

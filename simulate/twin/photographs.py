@@ -1,4 +1,4 @@
-"""Find where the photographs of a site's map see the ground, and the colours of points in them.
+"""Find the ground that the photographs of a site's map see, and sample the colours of points.
 
 Occlusion is not tested, because a site has no exact heights.
 """
@@ -71,6 +71,8 @@ def map_photographs(scene: Scene) -> list[Photograph]:
 def covered_square(photographs: Sequence[Photograph], height: float, most_m: float) -> float:
     """Return the side of the largest square around the origin that at least two photographs see.
 
+    At most 5 % of the square may be seen by fewer photographs.
+
     Args:
         photographs: The photographs of the map.
         height: Height of the ground, metres above the origin.
@@ -94,7 +96,7 @@ def covered_square(photographs: Sequence[Photograph], height: float, most_m: flo
 
 
 def sample_photographs(photographs: Sequence[Photograph], points: Array) -> NDArray[np.float32]:
-    """Return the colours of world points in the photograph with the steepest view of each.
+    """Return the colours of world points, each in the photograph that sees it most steeply.
 
     Args:
         photographs: The photographs of the map.

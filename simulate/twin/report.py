@@ -40,7 +40,7 @@ class SiteReport(BaseModel):
     notes: tuple[str, ...] = ()
 
     def text(self) -> str:
-        """Return the figures in a line, and each note in its own."""
+        """Return the figures in one line, and each note in a line of its own."""
         shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in self.classes.items())
         figures = (
             f"site: texture {100 * self.texel_m:.0f} cm, surface {100 * self.spacing_m:.0f} cm, "

@@ -1,9 +1,9 @@
-"""Sample rasters of a coordinate reference system on a square grid of the world.
+"""Sample georeferenced rasters on a square grid of the world.
 
 The grid is centred on the world's origin, with rows from south to north. The world is
-east-north-up, so it is rotated against the raster by the meridian convergence, and its horizontal
-plane leaves the curved earth (``geo.local_coordinates``). Values are interpolated at steps of 1/32
-pixel.
+east-north-up: it is rotated against the raster by the meridian convergence, and its horizontal
+plane is tangent to the curved earth (``geo.local_coordinates``). Values are interpolated at steps
+of 1/32 pixel.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _MARGIN_PX = 3.0  # margin of the raster that is read around the grid
 
 
 class Cells(NamedTuple):
-    """The positions along both axes of a square grid in the world, and their height.
+    """The positions along both axes of a square grid in the world, and the height of the grid.
 
     Attributes:
         axis: positions (n,), metres from the origin.
@@ -77,16 +77,19 @@ def sample_labels(raster: Raster, origin: Geodetic, cells: Cells) -> NDArray[np.
     return np.asarray(np.concatenate(parts), np.uint8)
 
 
-def inner_square(rasters: tuple[Raster, Raster], origin: Geodetic) -> float:
+def inner_half_side(rasters: tuple[Raster, Raster], origin: Geodetic) -> float:
     """Return the half side, metres, of the largest square around an origin inside two rasters.
 
-    It is not positive where the origin lies outside one of them.
+    The result is not positive if the origin lies outside a raster.
     """
     return float(min(_reach(raster, origin).min() for raster in rasters))
 
 
-def outer_square(raster: Raster, origin: Geodetic) -> float:
-    """Return the half side, metres, of the square around an origin that reaches the far edge."""
+def outer_half_side(raster: Raster, origin: Geodetic) -> float:
+    """Return the half side, metres, of the square around an origin that reaches the farthest edge.
+
+    The edge is one of the four edges of the raster.
+    """
     return float(_reach(raster, origin).max())
 
 
@@ -108,7 +111,10 @@ def _reach(raster: Raster, origin: Geodetic) -> Array:
 def _patch_around(
     raster: Raster, origin: Geodetic, cells: Cells, average: bool = True
 ) -> tuple[Patch, LocalProjection]:
-    """Return the patch of a raster around a grid, and the projection from the world to it."""
+    """Return the patch of a raster around a grid, and the projection from the world to the raster.
+
+    ``average`` averages the pixels of the raster over the spacing of the grid.
+    """
     reach = float(cells.axis[-1])
     corner = np.array([reach, reach, 50.0])
     middle = np.array([0.0, 0.0, cells.height])
@@ -125,7 +131,10 @@ def _patch_around(
 def _pixels(
     patch: Patch, local: LocalProjection, cells: Cells
 ) -> Iterator[tuple[Float, Float, Array]]:
-    """Yield OpenCV's columns and rows of strips of the grid, and the height of its plane there."""
+    """Yield strips of the grid: OpenCV's columns and rows, and heights of the grid's plane.
+
+    Heights are in the coordinate reference system of the raster, in which the plane is curved.
+    """
     for first in range(0, len(cells.axis), _ROWS):
         east, north = np.meshgrid(cells.axis, cells.axis[first : first + _ROWS])
         at = local.coordinates(np.stack([east, north, np.full_like(east, cells.height)], -1))

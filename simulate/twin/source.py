@@ -1,4 +1,4 @@
-"""Open the source of a site: two GeoTIFFs, or a scene that is fused to such files."""
+"""Open the source of a site: two GeoTIFFs, or a scene whose depth is fused into such files."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from objconnect.scene.geometry.geodesy import Geodetic
 from objconnect.scene.storage.scratch import scratch
 from simulate.twin.options import LEAST_SITE_M, SiteConfig
 from simulate.twin.photographs import Photograph, covered_square, map_photographs
-from simulate.twin.sampling import inner_square
+from simulate.twin.sampling import inner_half_side
 
 _MIN_PHOTOGRAPHS = 8  # minimum number of photographs of a site
-# Photographs lie on one line if they deviate from it by less than this share of its length.
+# Photographs lie on one line if their extent across it is below this share of the extent along it.
 _THIN_SHARE = 0.12
 _GROUND_CELLS = 64  # cells along a side of the grid whose median is the height of the ground
 _MAX_SIDE_M = 2000.0  # maximum side of a site
@@ -55,7 +55,7 @@ class Extent(NamedTuple):
 
 @contextmanager
 def open_rasters(site: SiteConfig, temporary_root: Path) -> Iterator[Files]:
-    """Open the rasters of a site; those of a scene are fused into a temporary folder.
+    """Open the rasters of a site. The rasters of a scene are fused into a temporary folder.
 
     Raises:
         InputError: A raster cannot be used, or the scene has too few photographs or no depth.
@@ -84,7 +84,7 @@ def measure_extent(site: SiteConfig, has_side: bool = False) -> Extent:
     common area.
 
     Args:
-        site: Its files.
+        site: Files of the site.
         has_side: Whether the configuration states the side, so that a small common area is allowed.
 
     Raises:
@@ -95,7 +95,7 @@ def measure_extent(site: SiteConfig, has_side: bool = False) -> Extent:
         return Extent(scene.manifest.origin, _side(scene))
     colours, heights = _rasters(site)
     origin = _middle(colours, heights, site.undulation)
-    side_m = 2 * inner_square((colours, heights), origin)
+    side_m = 2 * inner_half_side((colours, heights), origin)
     if side_m < LEAST_SITE_M and not has_side:
         raise InputError(
             f"{site.ortho} and {site.dsm} have a square of {max(side_m, 0):.0f} m in common, a "
@@ -134,7 +134,7 @@ def _middle(colours: Raster, heights: Raster, undulation: float) -> Geodetic:
 
 
 def _side(scene: Scene) -> float:
-    """Return the recorded side of the site, or that of the square that its photographs cover."""
+    """Return the recorded side of the site, or the side of the square that photographs cover."""
     recorded_side = scene.manifest.config.get("area")
     if isinstance(recorded_side, int | float):
         return float(recorded_side)
@@ -166,9 +166,9 @@ def _check_photographs(scene: Scene) -> tuple[tuple[str, ...], datetime | None]:
             f"{scene.path} has {len(centres)} photographs in its map, a site needs "
             f"{_MIN_PHOTOGRAPHS}: photograph more of it"
         )
-    spread = np.linalg.svd(centres[:, :2] - centres[:, :2].mean(0), compute_uv=False)
+    extents = np.linalg.svd(centres[:, :2] - centres[:, :2].mean(0), compute_uv=False)
     notes = []
-    if spread[1] < _THIN_SHARE * spread[0]:
+    if extents[1] < _THIN_SHARE * extents[0]:
         notes.append(
             "thin coverage: the photographs lie along one line, so surfaces beside it are seen "
             "from one side only"

@@ -15,17 +15,18 @@ _STEP_M = 0.4  # minimum height of objects at the smallest window
 _SLOPE = 0.15  # maximum slope of the ground
 _HIGHEST_STEP_M = 2.5  # upper bound of the minimum height of objects at larger windows
 _CELL_M = 1.0  # the filter works on cells of this size
-# Standard deviations (m) of the filters over closed holes. A filter starts ``_DEPTHS`` standard
-# deviations inside a hole, and has full weight at twice that depth.
+# Standard deviations (m) of the filters over closed holes. The first filter smooths a whole hole.
+# Each wider filter starts ``_DEPTH_SIGMAS`` standard deviations inside a hole, and has full weight
+# at twice that depth.
 _SMOOTH_M = (1.0, 2.0, 4.0, 8.0, 16.0)
-_DEPTHS = 2.0
+_DEPTH_SIGMAS = 2.0
 _GROUND_M = 2.0  # standard deviation of the filter over the ground
 _MAX_SIGMA_CELLS = 4.0  # maximum standard deviation in cells; wider filters work on larger cells
 _ISLAND_M2 = 10.0  # smaller patches of heights in a hole are dropped
 
 
 def drop_islands(surface: Float, spacing_m: float) -> Float:
-    """Drop small patches of heights (n, n) in large holes, which are mostly wrong.
+    """Drop small patches of heights (n, n) in large holes, because such heights are mostly wrong.
 
     Where dense depth fails, in woods and on water, the remaining depths agree by chance.
     """
@@ -63,7 +64,7 @@ def close_holes(values: Float, spacing_m: float) -> tuple[Float, Mask]:
     for smooth_m in _SMOOTH_M:
         sigma = max(smooth_m / spacing_m, 0.5)
         if smooth_m > _SMOOTH_M[0]:
-            share = np.clip(depth / (_DEPTHS * sigma) - 1, 0, 1)
+            share = np.clip(depth / (_DEPTH_SIGMAS * sigma) - 1, 0, 1)
         if not share.any():
             break
         weight = share if closed.ndim == 2 else share[..., None]
@@ -80,12 +81,12 @@ def _blur(values: Float, sigma: float) -> Float:
     return np.asarray(cv2.resize(soft, (n, n)) if m < n else soft, np.float32)
 
 
-def ground_below(surface: Float, spacing_m: float) -> Float:
+def estimate_ground(surface: Float, spacing_m: float) -> Float:
     """Estimate the ground under buildings and trees by a progressive morphological filter.
 
     Args:
         surface: heights (n, n) without holes, metres.
-        spacing_m: distance between them, metres.
+        spacing_m: distance between neighbouring heights, metres.
 
     Returns:
         Heights (n, n) of the ground, nowhere above the surface.

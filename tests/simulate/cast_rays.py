@@ -25,7 +25,7 @@ PIXELS = 1000
 
 def main(job_path: str, out: str) -> None:
     job = RenderJob.model_validate_json(Path(job_path).read_text())
-    place = preset(job.preset, job.prepared)(job.seed, job.side_m)
+    place = preset(job.preset, job.site_path)(job.seed, job.side_m)
     _build_scene(place, condition(job.condition))
     graph = bpy.context.evaluated_depsgraph_get()
     rays = pinhole_rays(job.camera) if job.lens is None else _lens_rays(job.lens)

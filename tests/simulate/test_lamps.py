@@ -22,15 +22,15 @@ def test_every_street_lamp_and_all_traffic_shine() -> None:
     assert all(item in vehicles for item in driven)
     shining = list(beams(town))
     assert len(shining) == len(lamps) + len(driven)
-    down = [beam for beam in shining if beam.towards[2] == -1]
+    down = [beam for beam in shining if beam.direction[2] == -1]
     assert len(down) == len(lamps)
     assert len({beam.rgb for beam in down}) == 1
     for lamp, beam in zip(lamps, down, strict=True):
-        ground = float(town.terrain.height(*beam.at[:2]))
-        assert beam.at[2] - ground == pytest.approx(6.8, abs=0.4)
-        assert np.abs(beam.at - lamp.centre).max() < 3.5
+        ground = float(town.terrain.height(*beam.position[:2]))
+        assert beam.position[2] - ground == pytest.approx(6.8, abs=0.4)
+        assert np.abs(beam.position - lamp.centre).max() < 3.5
     for beam in shining:
-        assert np.linalg.norm(beam.towards) == pytest.approx(1)
+        assert np.linalg.norm(beam.direction) == pytest.approx(1)
 
 
 def test_moved_vehicles_are_in_traffic_where_their_neighbours_are() -> None:

@@ -30,8 +30,8 @@ from tests.simulate.towns import cached_town
 NUMBERS = np.arange(len(NAMES)).astype(np.int16)
 CALM = ThermalWeather(
     air_k=np.full(HOURS, 290.0), sun=np.tile([0.0, 0.0, 1.0], (HOURS, 1)), direct_w=np.zeros(HOURS),
-    diffuse_w=np.zeros(HOURS), loss_w=0.0, ground_k=290.0, water_k=290.0, zenith=0.5, cloud=0.0,
-    extinction=0.0,
+    diffuse_w=np.zeros(HOURS), loss_w=0.0, ground_k=290.0, water_k=290.0,
+    zenith_transmittance=0.5, cloud=0.0, extinction=0.0,
 )  # fmt: skip
 
 
@@ -51,7 +51,7 @@ def test_without_sun_and_loss_everything_has_the_temperature_of_the_air() -> Non
     surfaces = Surfaces(CALM, wet=0.0)
     zero, ones = np.zeros(len(NAMES), np.float32), np.ones(len(NAMES), np.float32)
     kelvin = surfaces.temperature(NUMBERS, zero, zero, ones)
-    outdoors = np.array([SUBSTANCES[n].behind != "indoors" or not SUBSTANCES[n].conductance
+    outdoors = np.array([SUBSTANCES[n].backing != "indoors" or not SUBSTANCES[n].conductance
                          for n in NAMES])  # fmt: skip
     assert np.abs(kelvin[outdoors] - 290.0).max() < 1e-3
     # Rooms at 20 degrees warm the others by a part of the difference.
@@ -65,7 +65,7 @@ def test_the_balance_of_energy_closes() -> None:
     albedo = property_array("albedo")
     sunlight, ones = np.full(len(NAMES), 700.0, np.float32), np.ones(len(NAMES), np.float32)
     excess = surfaces.temperature(NUMBERS, albedo, sunlight, ones).astype(float) - 290.0
-    behind = np.array([3.15 if s.behind == "indoors" else 0.0 for s in SUBSTANCES.values()])
+    behind = np.array([3.15 if s.backing == "indoors" else 0.0 for s in SUBSTANCES.values()])
     emissivity, conductance = property_array("emissivity"), property_array("conductance")
     gain = (1 - albedo) * 700.0 * (1 - property_array("evaporation"))
     lost = property_array("transfer") * excess + conductance * (excess - behind)

@@ -122,7 +122,7 @@ def test_blender_agrees(twin: Scene, tmp_path: Path) -> None:
     made = SimulateConfig.model_validate(twin.manifest.config)
     frames = twin.frames("again")
     job = render_job(
-        made, made.sessions[1], frames.cam_from_world[:2], prepared=twin.path / PLACE_FILE
+        made, made.sessions[1], frames.cam_from_world[:2], site_path=twin.path / PLACE_FILE
     )
     with twin.layers("again") as dense:
         arrays = [{k: dense.read(k, f) for k in ("depth", "instance")} for f in range(2)]

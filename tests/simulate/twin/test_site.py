@@ -29,7 +29,7 @@ from simulate.twin.options import SiteConfig
 from simulate.twin.report import SiteReport
 from simulate.twin.sampling import Cells, sample_colours, sample_heights
 from simulate.twin.source import measure_extent
-from simulate.twin.terrain import close_holes, drop_islands, find_sunlit, ground_below
+from simulate.twin.terrain import close_holes, drop_islands, estimate_ground, find_sunlit
 from tests.simulate.twin.made_site import (
     HOUSE,
     ORIGIN,
@@ -133,7 +133,7 @@ def test_a_hill_is_no_building() -> None:
     axis = np.arange(-60, 60, 0.5)
     x, y = np.meshgrid(axis, axis)
     hill = (10 * np.exp(-(x**2 + y**2) / (2 * 30.0**2))).astype(np.float32)
-    assert np.abs(ground_below(hill, 0.5) - hill).max() < 0.8
+    assert np.abs(estimate_ground(hill, 0.5) - hill).max() < 0.8
 
 
 def test_holes_are_closed_and_said(tmp_path: Path) -> None:
