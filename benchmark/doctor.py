@@ -200,9 +200,9 @@ def _version(package: str) -> str | None:
 
 def _fits(version: str, wanted: str) -> bool:
     """Return whether a version lies within bounds such as ``>=1.26,<2``."""
-    have = _numbers(version)
+    numbers = _numbers(version)
     return all(
-        have >= _numbers(bound) if sign == ">=" else have < _numbers(bound)
+        numbers >= _numbers(bound) if sign == ">=" else numbers < _numbers(bound)
         for sign, bound in re.findall(r"(>=|<)([\d.]+)", wanted)
     )
 
@@ -378,7 +378,7 @@ def _weights(folders: Sequence[Path]) -> Iterator[Check]:
 def _damage(path: Path) -> str:
     """Return what is wrong with a file of weights; empty for a complete file.
 
-    The header of the file says how long it is. Format: https://huggingface.co/docs/safetensors
+    The header of the file states its size. Format: https://huggingface.co/docs/safetensors
     (length of the header, header, tensors).
     """
     try:

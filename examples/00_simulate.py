@@ -27,7 +27,7 @@ def main(out: Path = Path("runs/examples/scene")) -> None:
     )
     scene = simulate.simulate(config, out)
 
-    # A scene knows the truth about every frame.
+    # A scene holds the true pose and the true depth of every frame.
     for name in scene.sessions:
         frames = scene.frames(name)
         with scene.layers(name) as layers:

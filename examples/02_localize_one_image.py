@@ -20,7 +20,7 @@ def main(path: Path = Path("runs/examples/scene")) -> float:
     prior = oc.Prior(position=frames.gps_prior[0], position_sigma=frames.gps_sigma[0])
 
     estimate = localizer.localize(oc.Query("first", image, camera, prior))
-    # Localizers never raise an error on a bad query: they say why they have no pose.
+    # Localizers never raise an error on a bad query: they return the reason instead of a pose.
     if estimate.status is not oc.Status.OK or estimate.cam_from_world is None:
         raise SystemExit(f"no pose: {estimate.reason}")
     metres, degrees = estimate.cam_from_world.error_to(truth)

@@ -2,7 +2,7 @@
 
 python examples/03_bring_your_own_photographs.py PHOTOS [SCENE]
 
-Left out, PHOTOS are those of the map flight of 00_simulate.py, whose EXIF is like a drone's.
+PHOTOS defaults to the map flight of 00_simulate.py, whose EXIF is like a drone's.
 """
 
 from pathlib import Path

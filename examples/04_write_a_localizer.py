@@ -18,7 +18,7 @@ class NearestConfig(oc.Config):
 
 
 class Nearest:
-    name = "nearest"  # of its results file
+    name = "nearest"  # name of its results file
     weights_sha256 = None  # no weights
 
     def __init__(self, config: NearestConfig) -> None:
@@ -33,8 +33,8 @@ class Nearest:
         clock = oc.Stopwatch()
         with clock.stage("search"):
             axes = 2 if self.config.ignore_altitude else 3
-            away = self.map.centres[:, :axes] - query.prior.position[:axes]
-            nearest = self.map.names[int(np.linalg.norm(away, axis=1).argmin())]
+            offsets = self.map.centres[:, :axes] - query.prior.position[:axes]
+            nearest = self.map.names[int(np.linalg.norm(offsets, axis=1).argmin())]
         pose = self.map.images[nearest].pose
         return oc.Estimate(oc.Status.OK, pose, seconds=clock.seconds, by=oc.By.RETRIEVAL)
 
@@ -45,7 +45,7 @@ def main(
     (dataset,) = benchmark.open_datasets(path)
     results = benchmark.evaluate(dataset, Nearest(NearestConfig()), out)
     for threshold, recall in results.summary.recall.items():
-        # None says that the reference poses are too inexact to judge the threshold.
+        # None means that the reference poses are too inexact to judge the threshold.
         print(f"{threshold}: {'–' if recall is None else recall.text()} %")
 
 

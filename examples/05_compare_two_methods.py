@@ -14,7 +14,7 @@ def main(
     out: Path = Path("runs/examples/results"),
     board: Path = Path("runs/examples/board"),
 ) -> None:
-    # Every method is told the true pose moved by 3 m and turned by 5 degrees, and no more.
+    # The prior of every method is the true pose, moved by 3 m and rotated by 5 degrees.
     start = benchmark.parse_start("error=3m,5deg")
     (dataset,) = benchmark.open_datasets(path)
     for name in ("sift", "pixloc"):

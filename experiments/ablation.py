@@ -114,7 +114,7 @@ def ablate(
         validation: scenes on which the loss is measured during training.
         datasets: data sets to evaluate on; none of them should be among ``data``.
         out: folder of the training runs, the results and the table ``ablation.md``.
-        start: what the variants are told about each query.
+        start: information on each query that the variants get.
 
     Returns:
         The table as Markdown.

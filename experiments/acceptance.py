@@ -69,7 +69,8 @@ _RIDGES: Final = (0.0001, 0.0003, 0.001, 0.003, 0.01, 0.03, 0.1)
 _MATCHED_RIDGE: Final = 0.01
 # Bounds of the bins of probability.
 _BINS: Final = (0.0, 0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 1.0)
-# A pose is right for the fit within these errors; an exact one is counted if it is refused.
+# In the fit, a pose is right within these errors. ``check`` counts refused poses whose error is
+# below ``_EXACT_M``.
 _NEAR_M, _NEAR_DEG = 1.0, 5.0
 _EXACT_M: Final = 0.5
 
@@ -147,8 +148,8 @@ def _localize_queries(
     """Yield the records of the queries of a data set, in its map or in that of ``other``."""
     localizer = create(args.method, settings)
     assert isinstance(localizer, FeaturemetricLocalizer)
-    mapped = other or dataset
-    localizer.prepare(mapped.load_map(), mapped.images, cache)
+    map_dataset = other or dataset
+    localizer.prepare(map_dataset.load_map(), map_dataset.images, cache)
     start: Start = args.start
     load = start.loader(dataset, dataset.load_map(), cache)
     tried: list[Attempt] = []
@@ -167,7 +168,7 @@ def _localize_queries(
     with (
         patch.object(refiners, "evaluate_alignment", evaluate_and_keep),
         patch.object(localizers, "is_sure_match", is_sure_match),
-        progress_bar(f"{dataset.name} in {mapped.name}", len(queries)) as advance,
+        progress_bar(f"{dataset.name} in {map_dataset.name}", len(queries)) as advance,
     ):
         for done, query in enumerate(queries, 1):
             tried.clear()
@@ -348,15 +349,15 @@ def check(args: argparse.Namespace) -> None:
         "| records | queries | answered | wrong by > 1 m, 5° | wrong by > 5 m, 10° | right within "
         "0.5 m | of these refused | calibration error |\n|---|--:|--:|--:|--:|--:|--:|--:|"
     )
-    drawn = {}
+    answers_by_file = {}
     for records in args.records:
         chosen = [choose_answer(each, model, args.risk) for each in read(records)]
         answers = [each for each in chosen if each is not None]
-        drawn[records.stem] = answers
+        answers_by_file[records.stem] = answers
         _row(records.stem, answers, args)
-    _row("all", [each for answers in drawn.values() for each in answers], args)
+    _row("all", [each for answers in answers_by_file.values() for each in answers], args)
     if args.picture:
-        _draw(drawn, args.picture)
+        _draw(answers_by_file, args.picture)
 
 
 def _row(name: str, answers: Sequence[Answer], args: argparse.Namespace) -> None:
@@ -429,27 +430,27 @@ def main() -> None:
     """Run one of the three commands."""
     parser = argparse.ArgumentParser(description=__doc__)
     commands = parser.add_subparsers(required=True)
-    one = commands.add_parser("record")
-    one.add_argument("records", type=Path)
-    one.add_argument("datasets", type=Path, nargs="+", metavar="DATASET")
-    one.add_argument("--map", type=Path)
-    one.add_argument("--method", default="objconnect")
-    one.add_argument("--start", default="none", type=parse_start)
-    one.add_argument("--every", type=int, default=1)
-    one.add_argument("--set", action="append", default=[])
-    one.add_argument("--cache", type=Path)
-    one.set_defaults(run=record)
-    two = commands.add_parser("fit")
-    two.add_argument("records", type=Path, nargs="+")
-    two.add_argument("--out", type=Path)
-    two.set_defaults(run=fit)
-    three = commands.add_parser("check")
-    three.add_argument("records", type=Path, nargs="+")
-    three.add_argument("--model", type=Path)
-    three.add_argument("--risk", type=float, default=SearchOptions().risk)
-    three.add_argument("--most-sigma", type=float, default=SearchOptions().most_sigma_m)
-    three.add_argument("--picture", type=Path)
-    three.set_defaults(run=check)
+    record_parser = commands.add_parser("record")
+    record_parser.add_argument("records", type=Path)
+    record_parser.add_argument("datasets", type=Path, nargs="+", metavar="DATASET")
+    record_parser.add_argument("--map", type=Path)
+    record_parser.add_argument("--method", default="objconnect")
+    record_parser.add_argument("--start", default="none", type=parse_start)
+    record_parser.add_argument("--every", type=int, default=1)
+    record_parser.add_argument("--set", action="append", default=[])
+    record_parser.add_argument("--cache", type=Path)
+    record_parser.set_defaults(run=record)
+    fit_parser = commands.add_parser("fit")
+    fit_parser.add_argument("records", type=Path, nargs="+")
+    fit_parser.add_argument("--out", type=Path)
+    fit_parser.set_defaults(run=fit)
+    check_parser = commands.add_parser("check")
+    check_parser.add_argument("records", type=Path, nargs="+")
+    check_parser.add_argument("--model", type=Path)
+    check_parser.add_argument("--risk", type=float, default=SearchOptions().risk)
+    check_parser.add_argument("--most-sigma", type=float, default=SearchOptions().most_sigma_m)
+    check_parser.add_argument("--picture", type=Path)
+    check_parser.set_defaults(run=check)
     args = parser.parse_args()
     torch.set_num_threads(1)
     args.run(args)

@@ -4,7 +4,7 @@
 
 Queries are searched by ``objconnect`` without a prior. A candidate is *near* within 8 m, 10 degrees
 of the reference. Candidates come in lists: those of the objects, of the coarse search, and of the
-coarse search at other tilts. The table tells, for each list and range of true tilts, the number of
+coarse search at other tilts. The table states, for each list and range of true tilts, the number of
 queries whose first candidate is near, or one of the first eight, and the processor seconds a query.
 """
 
@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from experiments.searches import Searched, measure_searches
+from experiments.searches import SearchedQuery, measure_searches
 from objconnect.localization.coarse.search import Candidate
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.views import tilt
@@ -30,7 +30,7 @@ _FIRST: Final = 8
 _TILTS_DEG: Final = (0, 10, 20, 30, 40, 50, 60, 90)
 
 
-class Ranked(NamedTuple):
+class RankedList(NamedTuple):
     """A list of candidates of a query.
 
     Attributes:
@@ -55,19 +55,19 @@ def rank_candidates(candidates: Sequence[Candidate], truth: Pose) -> float:
     return math.inf
 
 
-def rank_query(searched: Searched) -> list[Ranked]:
+def rank_query(searched: SearchedQuery) -> list[RankedList]:
     """Return the lists of candidates of a query."""
     search, query, truth = searched
     degrees = math.degrees(tilt(truth.rotation.numpy()))
     ranked, begin = [], process_time()
     for number, found in enumerate(search.find(query, Stopwatch()), 1):
         rank = rank_candidates(found, truth)
-        ranked.append(Ranked(number, degrees, rank, process_time() - begin))
+        ranked.append(RankedList(number, degrees, rank, process_time() - begin))
         begin = process_time()
     return ranked
 
 
-def _print_table(ranked: Sequence[Ranked]) -> None:
+def _print_table(ranked: Sequence[RankedList]) -> None:
     print("| list | tilt, deg | queries | first | first eight | seconds |")
     print("|--:|--:|--:|--:|--:|--:|")
     for number in dict.fromkeys(each.number for each in ranked):

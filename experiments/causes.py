@@ -45,14 +45,14 @@ from objconnect.scene.runtime.progress import progress_bar
 
 _FOUND_M, _FOUND_DEG = 1.0, 5.0
 _ON_GROUND_M: Final = 0.5
-# Options without what only a search needs.
+# Options that switch off the parts that only a search needs.
 _NO_SEARCH: Final = {"matches": None, "objects": None, "place": {"candidates": 0}}
 _SUFFIXES: Final = (".json", ".json.xz")
 CAUSES: Final = ("found", "start", "probability", "tilt", "features")
 
 
 class Case(NamedTuple):
-    """What alignment makes of the true pose of a query.
+    """The result of aligning a query from its true pose.
 
     Attributes:
         cause: why the query is not found if it is not, one of ``CAUSES``.
@@ -86,13 +86,13 @@ def _find_cause(localizer: FeaturemetricLocalizer, query: BenchmarkQuery, ground
     options, truth = localizer.config.search, query.reference
     with torch.inference_mode():
         attempt = localizer.map_state.refine.align_near(query.load(), truth, Stopwatch())
-    metres = away = math.inf
+    metres = ground_error_m = math.inf
     if not attempt.has_failed:
         metres = float(attempt.pose.error_to(truth)[0])
         seen = [find_seen_ground(pose, query.camera, ground) for pose in (attempt.pose, truth)]
-        away = float(np.linalg.norm(seen[0] - seen[1], axis=1).mean())
+        ground_error_m = float(np.linalg.norm(seen[0] - seen[1], axis=1).mean())
     _, probability = select_likeliest([attempt])
-    if away > _ON_GROUND_M:
+    if ground_error_m > _ON_GROUND_M:
         cause = "features"
     elif metres > _FOUND_M or sigma_m(attempt, options) > options.most_sigma_m:
         cause = "tilt"
@@ -100,7 +100,7 @@ def _find_cause(localizer: FeaturemetricLocalizer, query: BenchmarkQuery, ground
         cause = "start" if probability >= 1 - options.risk else "probability"
     tilt = math.degrees(math.acos(max(-1.0, min(1.0, -float(truth.rotation[2, 2])))))
     pixel = (float(truth.centre()[2]) - ground) / query.camera.focal[0]
-    return Case(cause, metres, away, tilt, pixel)
+    return Case(cause, metres, ground_error_m, tilt, pixel)
 
 
 def _read_found(results: Path, dataset: str) -> set[str]:
@@ -118,8 +118,8 @@ def _is_found(answer: QueryResult) -> bool:
 
 def find_seen_ground(pose: Pose, camera: Camera, ground: float) -> NDArray[np.float64]:
     """Return east and north (5, 2) of the level ground at five pixels of a picture."""
-    aside = np.array([(0, 0), (-1, -1), (-1, 1), (1, -1), (1, 1)]) / 4
-    rays, _ = camera.unproject(torch.tensor((0.5 + aside) * (camera.width, camera.height)))
+    offsets = np.array([(0, 0), (-1, -1), (-1, 1), (1, -1), (1, 1)]) / 4
+    rays, _ = camera.unproject(torch.tensor((0.5 + offsets) * (camera.width, camera.height)))
     world = rays.numpy() @ pose.rotation.numpy()
     centre = pose.centre().numpy()
     return np.asarray((centre + world * ((ground - centre[2]) / world[:, 2:]))[:, :2])
@@ -131,9 +131,10 @@ def _print_table(cases: Sequence[Case]) -> None:
     for cause in CAUSES:
         some = np.array([each[1:] for each in cases if each.cause == cause]).reshape(-1, 4)
         if len(some):
-            metres, away, tilt, pixel = np.median(some, axis=0)
+            metres, ground_error_m, tilt, pixel = np.median(some, axis=0)
             print(
-                f"| {cause} | {len(some)} | {metres:.2f} | {away:.2f} | {tilt:.0f}° | {pixel:.2f} |"
+                f"| {cause} | {len(some)} | {metres:.2f} | {ground_error_m:.2f} | {tilt:.0f}° | "
+                f"{pixel:.2f} |"
             )
 
 
@@ -152,9 +153,9 @@ def main() -> None:
     aligned = {dataset.name: dict(find_causes(dataset, cache)) for dataset in datasets}
     for results in args.results:
         cases: list[Case] = []
-        for place, of_query in aligned.items():
+        for place, query_cases in aligned.items():
             found = _read_found(results, place)
-            for query, case in of_query.items():
+            for query, case in query_cases.items():
                 cases.append(case._replace(cause="found") if query in found else case)
                 if query not in found:
                     print(results.name, place, query, case)

@@ -32,7 +32,7 @@ class Run(NamedTuple):
     cpu: float
 
 
-def count_seconds(share: RenderJob) -> Iterator[tuple[int, bytes]]:
+def render_and_time(share: RenderJob) -> Iterator[tuple[int, bytes]]:
     """Yield the frames of a share, then the processor seconds that they took."""
     before = _child_seconds()
     yield from render_files(share)
@@ -46,7 +46,7 @@ def _child_seconds() -> float:
 
 def measure(address: str, workers: int, job: RenderJob) -> Run:
     """Render all frames of a job with all workers of a cluster."""
-    with worker_pool(address, count_seconds) as team:
+    with worker_pool(address, render_and_time) as team:
         assert team.cores == workers
         first = job.model_copy(update={"poses": {0: job.poses[0]}})
         for _ in team.map([first] * workers):

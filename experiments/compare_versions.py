@@ -104,7 +104,7 @@ class _Worker:
 
 
 def _report_preparation(workers: list[_Worker]) -> None:
-    """Print processor seconds per photograph of the map, of every version."""
+    """Print the processor seconds of every version per photograph of the map."""
     answers = [worker.ask("prepare") for worker in workers]
     for worker, answer in zip(workers, answers, strict=True):
         each, first = answer["seconds"] / answer["photographs"], answers[0]["seconds"]
@@ -115,7 +115,7 @@ def _report_preparation(workers: list[_Worker]) -> None:
 
 
 def _report_queries(workers: list[_Worker], every: int) -> None:
-    """Print seconds and errors of queries, of every version, in each condition and in all."""
+    """Print seconds and errors of the queries of every version, by condition and in all."""
     resident_mb = [worker.ask("prepare")["resident_mb"] for worker in workers]
     names = workers[0].ask("names")
     numbers = range(0, len(names), every)
@@ -157,10 +157,10 @@ def _summary(answers: list[Any], first: list[Any]) -> str:
     seconds = np.array([each["seconds"] for each in answers])
     first_seconds = np.array([each["seconds"] for each in first])
     errors = np.array([each["errors"] or (np.inf, np.inf) for each in answers])
-    within = (int(((errors < bound).all(1)).sum()) for bound in _BOUNDS)
+    counts = (int(((errors < bound).all(1)).sum()) for bound in _BOUNDS)
     recall = ", ".join(
         f"{count} within {metres:g} m {degrees:g} deg"
-        for count, (metres, degrees) in zip(within, _BOUNDS, strict=True)
+        for count, (metres, degrees) in zip(counts, _BOUNDS, strict=True)
     )
     stages = {
         name: np.mean([each["stages"].get(name, 0.0) for each in answers])

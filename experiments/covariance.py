@@ -60,8 +60,8 @@ _INSIDE_SHARE: Final = 0.95
 # Width of the logistic function of log NEES by which a pose counts as inside, because a hard count
 # has no gradient.
 _LOGISTIC_WIDTH: Final = 0.05
-# Weight of the means and shares of the conditions against the likelihood, which alone makes the
-# covariances too large under conditions with fewer large errors than Student's.
+# Weight of the means and shares of the conditions relative to the likelihood. The likelihood alone
+# makes the covariances too large under conditions with fewer large errors than Student's.
 _CONDITION_WEIGHT: Final = 4.0
 # Runs of the simplex from each initial value, and their options.
 _RESTARTS: Final = 2
@@ -94,14 +94,14 @@ class Answers:
     fit: NDArray[np.float64]
     false: NDArray[np.bool_]
 
-    def __getitem__(self, which: NDArray[np.bool_]) -> Answers:
+    def __getitem__(self, mask: NDArray[np.bool_]) -> Answers:
         """Return the poses of a mask (N,)."""
-        rows = torch.from_numpy(which)
+        rows = torch.from_numpy(mask)
         uncertainty = PoseUncertainty(
             *(getattr(self.uncertainty, each.name)[rows] for each in fields(PoseUncertainty))
         )
         columns = (self.scenes, self.conditions, self.errors, self.fit, self.false)
-        scenes, conditions, errors, fit, false = (column[which] for column in columns)
+        scenes, conditions, errors, fit, false = (column[mask] for column in columns)
         return Answers(scenes, conditions, errors, uncertainty, fit, false)
 
     def covariances(self, constants: CovarianceModel) -> NDArray[np.float64]:
@@ -169,8 +169,8 @@ def _along_axes(answers: Answers) -> tuple[NDArray[np.float64], NDArray[np.float
     measured, axes = np.linalg.eigh(
         answers.uncertainty.covariance.numpy() / (units[:, :, None] * units[:, None])
     )
-    along = ((answers.errors / units)[:, None] @ axes)[:, 0]
-    return measured, along**2
+    components = ((answers.errors / units)[:, None] @ axes)[:, 0]
+    return measured, components**2
 
 
 def unseen_nees(answers: Answers) -> NDArray[np.float64]:

@@ -137,10 +137,10 @@ def _quantize(file: Path) -> Path:
         def get_next(self) -> dict[str, Any] | None:
             return pictures.pop() if pictures else None
 
-    to = file.with_name("integers.onnx")
+    target = file.with_name("integers.onnx")
     types = {"activation_type": onnx.QuantType.QUInt8, "weight_type": onnx.QuantType.QInt8}
-    onnx.quantize_static(file, to, Reader(), per_channel=True, **types)
-    return to
+    onnx.quantize_static(file, target, Reader(), per_channel=True, **types)
+    return target
 
 
 def _picture(side: int) -> NDArray[np.float32]:

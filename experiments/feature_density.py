@@ -86,23 +86,25 @@ def main(path: Path, cache: Path) -> None:
         localizer = _create_localizer(method)
         localizer.prepare(sparse_map, dataset.images, cache)
         totals: list[NDArray[np.float64]] = []
-        shown = with_feature = 0
+        small_objects = with_feature = 0
         for row, name in enumerate(sparse_map.names):
             image, instance = sparse_map.images[name], instances[name]
             ids = np.unique(instance)
             small_ids = set(ids[groups.of(ids) == _SMALL].tolist())
             for weighting, features in enumerate(_feature_points(localizer, row)):
                 ids_at_features = _identify(image, features.xyz, instance)
-                counted = np.bincount(groups.of(ids_at_features), features.weight, minlength=4)
+                counts = np.bincount(groups.of(ids_at_features), features.weight, minlength=4)
                 if weighting == len(totals):
                     totals.append(np.zeros(4))
-                totals[weighting] += counted
+                totals[weighting] += counts
                 if weighting == 0:
-                    shown += len(small_ids)
+                    small_objects += len(small_ids)
                     with_feature += len(small_ids.intersection(ids_at_features.tolist()))
         for weighting, total in enumerate(totals):
             each, overall = 1000 * total / pixels, 1000 * total.sum() / pixels.sum()
-            end = f"  {with_feature / shown:.0%} of {shown}" if weighting == 0 else ""
+            end = (
+                f"  {with_feature / small_objects:.0%} of {small_objects}" if weighting == 0 else ""
+            )
             print(
                 f"{method + ('', ', weighed')[weighting]:20s}{overall:7.2f}  "
                 + "  ".join(f"{value:7.2f}" for value in each)

@@ -76,7 +76,7 @@ def recall_by(boards: Boards, track: str, start: str, by: str, queries: str = "c
         boards: tracks with their results.
         track: name of the track.
         start: name of the start.
-        by: what has a row of its own: ``part`` or ``condition``.
+        by: kind of the rows: ``part`` or ``condition``.
         queries: words that choose the queries, see ``figure_values.QUERIES_HELP``.
 
     Raises:
@@ -100,14 +100,15 @@ def recall_by(boards: Boards, track: str, start: str, by: str, queries: str = "c
 def novelty(boards: Boards, track: str, start: str, *names: str) -> str:
     """Return recall at 0.5 m and 5 degrees on what training may use and on what a track holds out.
 
-    It counts the changed queries that all its methods were asked, so that columns can be compared.
+    It counts the changed queries that all methods in the table were asked, so that columns can be
+    compared.
     Each row states its places, queries and courses.
 
     Args:
         boards: tracks with their results.
         track: name of the track.
         start: name of the start.
-        names: methods; all with results from the start if there is none.
+        names: methods; if none is named, all with results from the start.
 
     Raises:
         InputError: a name is unknown, or the track holds out nothing.
@@ -171,7 +172,7 @@ def table(boards: Boards, words: str) -> str:
 
 
 def _asked_by_any(runs: Sequence[BoardRun], rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return those of the queries ``rows`` that at least one method was asked."""
+    """Return the queries among ``rows`` that at least one method was asked."""
     return rows[np.array([run.has[rows] for run in runs]).any(axis=0)]
 
 
@@ -208,13 +209,13 @@ def _row(
     rows: NDArray[np.int64],
     text: Callable[[Interval], str],
 ) -> list[str]:
-    """Return a row of recalls. A method that was asked fewer queries than others says how many."""
+    """Return a row of recalls, with the number of queries where a method was asked fewer."""
     asked = _asked_by_any(runs, rows)
-    shown = len(asked)
+    most = len(asked)
     cells = [f"{name} ({_size(board, asked)})"]
     for answers in (run.answers_at(rows) for run in runs):
         cell = text(recall(answers, FOUND)) if answers else "–"
-        cells.append(cell if len(answers) in (0, shown) else f"{cell} ({len(answers)})")
+        cells.append(cell if len(answers) in (0, most) else f"{cell} ({len(answers)})")
     return cells
 
 
@@ -225,7 +226,7 @@ def _count_with_share(share: _Share, run: BoardRun, rows: NDArray[np.int64]) -> 
 
 
 def _count(share: Interval | None, answers: Sequence[QueryResult]) -> str:
-    """Return how many of the answers a share counts; a dash where it is unknown."""
+    """Return a share as a number of answers; a dash where it is unknown."""
     return "–" if share is None else str(round(share.value * len(answers) / 100))
 
 

@@ -1,6 +1,6 @@
 """Figures of chosen queries of a track, from the results that ``benchmark/tracks/`` keeps.
 
-``uav-seasons/none/objconnect/changed`` names one: the track, the start, the method and the queries.
+``uav-seasons/none/objconnect/changed`` names one figure by track, start, method and queries.
 Words of ``QUERIES_HELP`` choose the queries, joined by ``+``; a fifth part names another figure
 than the recall at 0.5 m and 5 degrees, see ``FIGURES``, ``PLACES`` and ``PAIRED``.
 """
@@ -53,7 +53,7 @@ def percent(share: Interval) -> str:
     return f"{share.value:.1f} %"
 
 
-def with_interval(share: Interval) -> str:
+def share_with_interval(share: Interval) -> str:
     """Return a share with its interval by course, such as ``96.4 % [95.2, 97.2]``."""
     return share.text().replace(" [", " % [")
 
@@ -80,7 +80,7 @@ def count_courses(answers: Sequence[QueryResult]) -> int:
     return len({answer.cluster for answer in answers})
 
 
-def _worse(answers: Sequence[QueryResult]) -> str:
+def _worse_share(answers: Sequence[QueryResult]) -> str:
     found = worse_than_prior(answers)
     return "–" if found is None else percent(found)
 
@@ -90,14 +90,14 @@ def _nees(answers: Sequence[QueryResult]) -> str:
     return "–" if found is None else nees_text(found.mean)
 
 
-def _within(answers: Sequence[QueryResult]) -> str:
+def _ellipsoid_share(answers: Sequence[QueryResult]) -> str:
     found = consistency(answers)
     return "–" if found is None else percent(found.within_95)
 
 
 FIGURES: Final[Mapping[str, Callable[[Sequence[QueryResult]], str]]] = {
     "recall": lambda answers: percent(recall(answers, FOUND)),
-    "interval": lambda answers: with_interval(recall(answers, FOUND)),
+    "interval": lambda answers: share_with_interval(recall(answers, FOUND)),
     "fine": lambda answers: percent(recall(answers, FINE)),
     "coarse": lambda answers: percent(recall(answers, FALSE_FIX)),
     "found": lambda answers: str(sum(is_correct(a, FOUND) for a in answers)),
@@ -110,9 +110,9 @@ FIGURES: Final[Mapping[str, Callable[[Sequence[QueryResult]], str]]] = {
     "wrong-1m": lambda answers: str(sum(is_wrong(a) for a in answers)),
     "wrong-1m-share": lambda answers: percent(wrong_answers(answers)),
     "worse": lambda answers: str(sum(is_worse_than_prior(a) for a in answers)),
-    "worse-share": _worse,
+    "worse-share": _worse_share,
     "nees": _nees,
-    "within": _within,
+    "within": _ellipsoid_share,
 }
 """Figures of a method: recall within 0.5 m and 5 degrees alone, with its interval, within 0.25 m
 and 2 degrees, within 5 m and 10 degrees; queries found, missed, asked, their courses, queries
@@ -174,13 +174,13 @@ def value(boards: Mapping[str, TrackBoard], name: str) -> str:
     board = track_of(boards, track)
     run = run_of(board, start, method)
     if other:
-        of_pair = look_up(PAIRED, figure, "paired figure")
-        return of_pair(Pair(board, run, run_of(board, start, other), words))
+        pair_figure = look_up(PAIRED, figure, "paired figure")
+        return pair_figure(Pair(board, run, run_of(board, start, other), words))
     rows = asked_by_all(run, rows=select(board, words))
     if figure == PLACES:
         return str(len(board.datasets_at(rows)))
-    of_answers = look_up(FIGURES, figure, "figure")
-    return of_answers(run.answers_at(rows))
+    answers_figure = look_up(FIGURES, figure, "figure")
+    return answers_figure(run.answers_at(rows))
 
 
 def look_up(entries: Mapping[str, _Named], name: str, kind: str) -> _Named:
@@ -214,16 +214,16 @@ def run_of(board: TrackBoard, start: str, method: str) -> BoardRun:
 
 
 def asked_by_all(*runs: BoardRun, rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return those of the queries ``rows`` that every method was asked.
+    """Return the queries among ``rows`` that every method was asked.
 
     Raises:
         InputError: there is none.
     """
-    kept = rows[np.array([run.has[rows] for run in runs]).all(axis=0)]
-    if not len(kept):
+    shared_rows = rows[np.array([run.has[rows] for run in runs]).all(axis=0)]
+    if not len(shared_rows):
         methods = " and ".join(run.method for run in runs)
         raise InputError(f"{methods} from {runs[0].start} have no results of the chosen queries")
-    return kept
+    return shared_rows
 
 
 def select(board: TrackBoard, words: str) -> NDArray[np.int64]:
@@ -234,14 +234,14 @@ def select(board: TrackBoard, words: str) -> NDArray[np.int64]:
     """
     chosen = np.ones(len(board.queries), np.bool_)
     for word in words.split("+"):
-        chosen &= _chosen_by(board, word)
+        chosen &= _select_by_word(board, word)
     rows = np.flatnonzero(chosen)
     if not len(rows):
         raise InputError(f"{board.track.name} has no query that is {words}")
     return rows
 
 
-def _chosen_by(board: TrackBoard, word: str) -> NDArray[np.bool_]:
+def _select_by_word(board: TrackBoard, word: str) -> NDArray[np.bool_]:
     kind, _, method = word.partition(":")
     if kind == "with":
         runs = [run for run in board.runs if run.method == method]

@@ -85,7 +85,7 @@ def _replacement(make: Callable[[str], str]) -> Callable[[re.Match[str]], str]:
 
 
 def list_stale(boards: Mapping[str, TrackBoard], text: str) -> Iterator[str]:
-    """Yield each line of a document that differs from the stored results, and what it has to be.
+    """Yield each line of a document that differs from the stored results, and the right line.
 
     Raises:
         InputError: for the reasons of ``insert_figures``.

@@ -114,17 +114,19 @@ def read(folder: Path) -> Town:
     queries = [query for query in truth.queries if query.condition in config.seasons]
     keys = [(query.condition, int(Path(query.name).stem)) for query in queries]
 
-    def each(values: dict[str, Array]) -> Array:
+    def take_queries(values: dict[str, Array]) -> Array:
         return np.array([values[season][k] for season, k in keys])
 
-    def chances(by: Calibration) -> Array:
-        return each({name: probability(observed, by) for name, observed in evidence.items()})
+    def chances(model: Calibration) -> Array:
+        return take_queries(
+            {name: probability(observed, model) for name, observed in evidence.items()}
+        )
 
     return Town(
         name=forecast.scene,
         method=method,
         season=[season for season, _ in keys],
-        rows=each({name: features(observed) for name, observed in evidence.items()}),
+        rows=take_queries({name: features(observed) for name, observed in evidence.items()}),
         raw=np.array([found[key].is_fix(config.fix_m, config.fix_deg) for key in keys], float),
         chance=chances(calibration),
         plain=chances(UNCALIBRATED),
@@ -177,17 +179,17 @@ def measure(towns: Sequence[Town], base: float, out: Path | None) -> None:
         low, high = _interval(chance, happened)
         print(f"{name}: Brier {brier(chance, happened):.3f} [{low:.3f}, {high:.3f}]")
     for town in towns:
-        of_group = town.happened
-        base_rate = of_group.mean() * (1 - of_group.mean())
-        print(f"{town.name}: Brier {brier(town.chance, of_group):.3f}, base rate {base_rate:.3f}")
+        outcomes = town.happened
+        base_rate = outcomes.mean() * (1 - outcomes.mean())
+        print(f"{town.name}: Brier {brier(town.chance, outcomes):.3f}, base rate {base_rate:.3f}")
     season = np.concatenate([town.season for town in towns])
     for name in dict.fromkeys(season.tolist()):
         mask = season == name
-        chance, of_group = columns["forecast"][mask], happened[mask]
+        chance, outcomes = columns["forecast"][mask], happened[mask]
         print(
             f"{name}: {mask.sum()} queries, forecast {100 * chance.mean():.0f} %, happened "
-            f"{100 * of_group.mean():.0f} %, Brier {brier(chance, of_group):.3f}, its own base "
-            f"rate {of_group.mean() * (1 - of_group.mean()):.3f}"
+            f"{100 * outcomes.mean():.0f} %, Brier {brier(chance, outcomes):.3f}, its own base "
+            f"rate {outcomes.mean() * (1 - outcomes.mean()):.3f}"
         )
     _reliability(columns["forecast"], happened, out)
 

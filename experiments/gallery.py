@@ -59,18 +59,19 @@ class _Picture:
     shots: tuple[tuple[RenderJob, int], ...]
 
 
-def gallery(config: SimulateConfig, out: Path, shown_in: str = "summer-noon") -> Path:
+def gallery(config: SimulateConfig, out: Path, base_condition: str = "summer-noon") -> Path:
     """Write a page of pictures, or continue an interrupted run.
 
     The page shows every preset from an orbit, from above and from the street. Then it shows
     ``config.preset`` from the orbit in every season, in every light and in every weather; the
-    other parts of the condition are those of ``shown_in``. The entries are those of the registries.
+    other parts of the condition are those of ``base_condition``. Presets, seasons, lights and
+    weathers are those of the registries.
 
     Args:
         config: seed, minimum area, camera and samples of all pictures, and the place that is shown
             under every condition; its sessions are not used.
         out: folder of ``gallery.md`` and of the folder ``gallery/`` of its pictures.
-        shown_in: condition of the pictures of every place.
+        base_condition: condition of the pictures of every place.
 
     Returns:
         The page.
@@ -79,7 +80,7 @@ def gallery(config: SimulateConfig, out: Path, shown_in: str = "summer-noon") ->
         InputError: the condition is unknown, a place has no room for a view, rendering failed, or
             ``out`` cannot be written.
     """
-    shown_in = condition(shown_in, config.origin).name
+    base_condition = condition(base_condition, config.origin).name
     _refuse_foreign_files(out)
     config = config.model_copy(update={"position_jitter_m": 0.0, "attitude_jitter_deg": 0.0})
     configs = {
@@ -87,8 +88,10 @@ def gallery(config: SimulateConfig, out: Path, shown_in: str = "summer-noon") ->
         for name, plan in PRESETS.items()
     }
     places = {name: preset(name)(config.seed, each.area) for name, each in configs.items()}
-    kinds = [_picture_of_place(configs[name], world, shown_in) for name, world in places.items()]
-    whole = _pictures_of_conditions(configs[config.preset], places[config.preset], shown_in)
+    kinds = [
+        _picture_of_place(configs[name], world, base_condition) for name, world in places.items()
+    ]
+    whole = _pictures_of_conditions(configs[config.preset], places[config.preset], base_condition)
     pictures = [*kinds, *whole]
     rendered = out / _RENDERED
     jobs = {_folder(job): job for picture in pictures for job, _ in picture.shots}
@@ -101,7 +104,7 @@ def gallery(config: SimulateConfig, out: Path, shown_in: str = "summer-noon") ->
                 advance(done)
         for picture in pictures:
             _draw(picture, config, rendered, out / PICTURES / f"{picture.name}.jpg")
-        write_text(out / PAGE, _page(config, out, shown_in, places))
+        write_text(out / PAGE, _page(config, out, base_condition, places))
         shutil.rmtree(rendered)
     except RenderError as error:
         raise InputError(str(error)) from error
@@ -121,22 +124,22 @@ def _refuse_foreign_files(out: Path) -> None:
     )
 
 
-def _picture_of_place(config: SimulateConfig, world: World, shown_in: str) -> _Picture:
+def _picture_of_place(config: SimulateConfig, world: World, base_condition: str) -> _Picture:
     """Return the picture of a place from every view."""
     name = config.preset
-    job = _job(config, shown_in, world, len(_VIEWS))
+    job = _job(config, base_condition, world, len(_VIEWS))
     shots = tuple((job, k) for k in range(len(_VIEWS)))
     return _Picture(name, tuple(view.kind for view, _ in _VIEWS), shots)
 
 
 def _pictures_of_conditions(
-    config: SimulateConfig, world: World, shown_in: str
+    config: SimulateConfig, world: World, base_condition: str
 ) -> tuple[_Picture, ...]:
     """Return pictures of a place in every season, in every light and in every weather.
 
-    The other two parts of the conditions are those of ``shown_in``.
+    The other two parts of the conditions are those of ``base_condition``.
     """
-    season, light, *_ = shown_in.split("-")
+    season, light, *_ = base_condition.split("-")
 
     def picture(name: str, parts: Iterable[str], text: str) -> _Picture:
         names = [condition(text.format(part), config.origin).name for part in parts]
@@ -144,18 +147,18 @@ def _pictures_of_conditions(
         return _Picture(name, tuple(parts), shots)
 
     return (
-        picture(_SEASON, SEASONS, shown_in.replace(season, "{}", 1)),
-        picture(_LIGHT, LIGHTS, shown_in.replace(f"-{light}", "-{}", 1)),
+        picture(_SEASON, SEASONS, base_condition.replace(season, "{}", 1)),
+        picture(_LIGHT, LIGHTS, base_condition.replace(f"-{light}", "-{}", 1)),
         picture(_WEATHER, WEATHER, f"{season}-{light}-{{}}"),
     )
 
 
-def _job(config: SimulateConfig, shown_in: str, world: World, views: int) -> RenderJob:
+def _job(config: SimulateConfig, base_condition: str, world: World, views: int) -> RenderJob:
     """Return the job of the first ``views`` views of a place under a condition."""
     camera = config.photo_camera()
     poses = []
     for view, frames in _VIEWS[:views]:
-        session = SessionConfig(condition=shown_in, flight=view, role="query", frames=frames)
+        session = SessionConfig(condition=base_condition, flight=view, role="query", frames=frames)
         rng = np.random.default_rng(config.seed)
         planned = plan_session(session, config, camera, world, rng)
         # The photograph whose target is nearest to the middle of the place.
@@ -195,7 +198,9 @@ def _photograph(folder: Path, frame: int) -> NDArray[np.uint8]:
         return np.asarray(layers["rgb"])
 
 
-def _page(config: SimulateConfig, out: Path, shown_in: str, places: Mapping[str, World]) -> str:
+def _page(
+    config: SimulateConfig, out: Path, base_condition: str, places: Mapping[str, World]
+) -> str:
     """Return the Markdown of the page."""
     kinds = "\n".join(
         f"""
@@ -212,11 +217,11 @@ Every kind of place and every condition, as the simulator renders them. This com
 
 ```sh
 python -m experiments.gallery --out {for_terminal(out)} --preset {config.preset} \\
-  --condition {shown_in} --seed {config.seed} --area {config.area:g} \\
+  --condition {base_condition} --seed {config.seed} --area {config.area:g} \\
   --size {config.size} --spp {config.spp}
 ```
 
-## Places in {shown_in}
+## Places in {base_condition}
 
 All places have seed {config.seed} and a side of {config.area:g} m, or the smallest side that the
 place allows. Each is shown from an orbit, from above and from the street.
@@ -226,7 +231,7 @@ place allows. Each is shown from an orbit, from above and from the street.
 
 No object moves between conditions. In seasons without leaves, broadleaved trees are bare, which
 sessions declare as a change. Every season, light and weather can be combined. Each figure varies
-one of the three; the other two are those of {shown_in}.
+one of the three; the other two are those of {base_condition}.
 
 ### Seasons
 
@@ -253,15 +258,17 @@ def _inventory(world: World) -> str:
 def main(words: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="folder of the page")
-    parser.add_argument("--preset", default="town", help="place that every condition is shown of")
+    parser.add_argument(
+        "--preset", default="town", help="place that is shown under every condition"
+    )
     parser.add_argument("--condition", default="summer-noon", help="condition of every place")
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--area", type=float, default=140.0)
     parser.add_argument("--size", type=int, default=240)
     parser.add_argument("--spp", type=int, default=4)
     args = vars(parser.parse_args(words))
-    out, shown_in = args.pop("out"), args.pop("condition")
-    print(gallery(SimulateConfig(**args), out, shown_in))
+    out, base_condition = args.pop("out"), args.pop("condition")
+    print(gallery(SimulateConfig(**args), out, base_condition))
 
 
 if __name__ == "__main__":

@@ -46,12 +46,12 @@ def main() -> None:
     print(f" ({grown / alone:.2f}); features of {copied} were copied")
 
 
-def _prepare(scene: Path, method: str, cache: Path) -> tuple[int, float]:
+def _prepare(path: Path, method: str, cache: Path) -> tuple[int, float]:
     """Prepare a map; return its number of photographs and the processor seconds."""
-    opened = Scene.open(scene)
-    sparse_map, localizer = opened.sparse_map(), create(method, {})
+    scene = Scene.open(path)
+    sparse_map, localizer = scene.sparse_map(), create(method, {})
     begin = time.process_time()
-    localizer.prepare(sparse_map, opened.images_root, cache)
+    localizer.prepare(sparse_map, scene.images_root, cache)
     return len(sparse_map.names), time.process_time() - begin
 
 

@@ -239,7 +239,7 @@ def main() -> None:
         print(json.dumps(measure(folder, count // SIDE**2, args.method, options)), flush=True)
         return
     for count in args.photographs:
-        # The second run finds in the cache what the first one prepared.
+        # The second run reads the cache that the first one wrote.
         for _ in range(2):
             arguments = ["--method", args.method, "--photographs", str(count), "--one"]
             command = [sys.executable, "-m", "experiments.large_map", str(args.folder)]

@@ -2,7 +2,7 @@
 
     python -m experiments.lifted_depth SCENE
 
-It takes every fourth photograph of the map. Errors are along the optical axis, of the keypoints
+Every fourth photograph of the map is measured. Errors are along the optical axis, at the keypoints
 with a 3D point.
 """
 
@@ -62,8 +62,8 @@ def measure(scene: Path, extract: Extractor, lift: Lift) -> tuple[float, NDArray
         has_point = np.isfinite(points).all(1)
         row, column = np.floor(xy[has_point, ::-1]).astype(int).T
         truth = depth[row.clip(max=depth.shape[0] - 1), column.clip(max=depth.shape[1] - 1)]
-        local = image.pose.transform(torch.from_numpy(points[has_point]))[:, 2].numpy()
-        errors.append(np.where(truth > 0, np.abs(local - truth), np.inf))
+        point_depth = image.pose.transform(torch.from_numpy(points[has_point]))[:, 2].numpy()
+        errors.append(np.where(truth > 0, np.abs(point_depth - truth), np.inf))
         keypoints += len(xy)
     stacked = np.concatenate(errors)
     return 100 * len(stacked) / keypoints, stacked

@@ -61,12 +61,12 @@ def main(scene: Path, session: str, weights: Path, out: Path) -> None:
         axes[0, 0].imshow(borders, extent=(0, width, height, 0), cmap="autumn", alpha=0.8)
         present = objects.present[0]
         x, y = objects.centres[0, present].T.numpy()
-        drawn = axes[0, 0].scatter(x, y, c=objects.confidence[0, present], cmap="viridis", s=40)
-        figure.colorbar(drawn, ax=axes[0, 0], shrink=0.7, label="confidence of a centre")
+        dots = axes[0, 0].scatter(x, y, c=objects.confidence[0, present], cmap="viridis", s=40)
+        figure.colorbar(dots, ax=axes[0, 0], shrink=0.7, label="confidence of a centre")
     axes[0, 0].set_title("objects and their centres")
     size = (0, maps[1].confidence.shape[3] * 4, maps[1].confidence.shape[2] * 4, 0)
-    shown = axes[0, 1].imshow(maps[1].confidence[0, 0].float(), extent=size, alpha=0.75)
-    figure.colorbar(shown, ax=axes[0, 1], shrink=0.7)
+    overlay = axes[0, 1].imshow(maps[1].confidence[0, 0].float(), extent=size, alpha=0.75)
+    figure.colorbar(overlay, ax=axes[0, 1], shrink=0.7)
     axes[0, 1].set_title("confidence of places (stride 4)")
 
     (world,), batch = problem.points, problem.start
@@ -88,10 +88,10 @@ def main(scene: Path, session: str, weights: Path, out: Path) -> None:
             # Every eighth point is drawn.
             drawn_points[drawn_points] = np.arange(drawn_points.sum()) % 8 == 0
             x, y = projected.xy.numpy()[drawn_points].T
-            off = float(
+            error_px = float(
                 (projected.xy - true.xy)[torch.from_numpy(drawn_points)].norm(dim=-1).median()
             )
-            axis.plot(x, y, ".", color=colour, markersize=4, label=f"{name}: {off:.1f} px")
+            axis.plot(x, y, ".", color=colour, markersize=4, label=f"{name}: {error_px:.1f} px")
         last = Pose(found.pose.rotation[0], found.pose.translation[0])
         metres, _ = view.photograph_pose(last).error_to(benchmark_query.reference)
         axis.legend(loc="lower right", title="points, median off by")

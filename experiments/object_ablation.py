@@ -2,12 +2,12 @@
 
     python -m experiments.object_ablation TRAINING_SCENE... --report SCENE... [--seeds 3]
 
-Objects are those of the detector, or the segments of SLIC or Felzenszwalb, or squares, each with
-the mean of the detector's vectors. For each kind a graph over objects is trained once per seed, and
-for the learned ones also a graph without messages from neighbours. Prints for each the top-1 and
-top-5 share of objects that match the right landmark, and how often the true pose (8 m, 10 degrees)
-is the first start or among the first five. Queries have no prior; the camera is assumed to look
-straight down.
+Objects are detections of the detector, segments of SLIC or Felzenszwalb, or squares; a segment or a
+square has the mean of the detector's vectors in it. For each kind a graph over objects is trained
+once per seed, and for the learned ones also a graph without messages from neighbours. Prints for
+each the top-1 and top-5 share of objects that match the right landmark, and how often the true pose
+(8 m, 10 degrees) is the first candidate or among the first five. Queries have no prior; the camera
+is assumed to look straight down.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def main() -> None:
     parser.add_argument("scenes", type=Path, nargs="+")
     parser.add_argument("--report", type=Path, nargs="+", required=True)
     parser.add_argument("--weights", type=Path, default=SHIPPED)
-    parser.add_argument("--session", default="nadir", help="queries to ask")
+    parser.add_argument("--session", default="nadir", help="session of the queries")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--kinds", nargs="+", default=["learned", "slic", "felzenszwalb", "grid"])
     args = parser.parse_args()
@@ -121,7 +121,7 @@ def _rank_starts(
     tested: TrainingScene,
     session: str,
 ) -> Sequence[int]:
-    """Return the rank of the first correct start of each query, 99 for none."""
+    """Return the rank of the first correct candidate of each query, 99 for none."""
     sparse_map = scene.sparse_map()
     connect = ObjectMatcher(graph, tested.landmarks, map_ground(sparse_map))  # type: ignore[arg-type]
     heights = [sparse_map.height_above(centre) for centre in sparse_map.centres]

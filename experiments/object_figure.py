@@ -58,30 +58,30 @@ def main(path: Path, session: str, out: Path, row: int = 0) -> None:
     candidate = connect(found, camera, *allowed_poses(None, heights))[0]
     true = Pose.from_matrix(frames.cam_from_world[row])
     error_m = float(torch.linalg.norm(candidate.pose.centre() - true.centre()))
-    placed = place_on_ground(found, camera, candidate.pose, ground).xyz
-    distance = np.linalg.norm(placed[:, None, :2] - landmarks.xyz[None, :, :2], axis=-1)
+    ground_xyz = place_on_ground(found, camera, candidate.pose, ground).xyz
+    distance = np.linalg.norm(ground_xyz[:, None, :2] - landmarks.xyz[None, :, :2], axis=-1)
     distance = np.where(np.isfinite(distance), distance, np.inf)
     nearest = distance.argmin(1)
     mutual = distance.argmin(0)[nearest] == np.arange(len(distance))
     same = np.where(mutual & (distance.min(1) < SAME_M), nearest, -1)
 
     overlap = scene.covisibility.select([name, *scene.splits.map]).mutual[0, 1:]
-    mapped = scene.splits.map[int(overlap.argmax())]
-    is_in_photograph = np.array([each == mapped for each in tracks.name])
+    map_name = scene.splits.map[int(overlap.argmax())]
+    is_in_photograph = np.array([each == map_name for each in tracks.name])
     figure = Figure(figsize=(14, 7), dpi=80, layout="constrained")
     left, right = figure.subplots(1, 2)
-    of_map = read_rgb(scene.images_root / mapped)
+    map_rgb = read_rgb(scene.images_root / map_name)
     shared = set(same.tolist()) & set(tracks.landmark[is_in_photograph].tolist())
     _draw(
         left,
         network,
-        of_map,
+        map_rgb,
         tracks.xy[is_in_photograph],
         tracks.landmark[is_in_photograph],
         shared,
     )
     _draw(right, network, rgb, found.xy.numpy(), same, shared)
-    left.set_title(f"a photograph of the map, {scene.sessions[mapped.split('/')[0]].condition}")
+    left.set_title(f"a photograph of the map, {scene.sessions[map_name.split('/')[0]].condition}")
     right.set_title(
         f"a query, {scene.sessions[session].condition}, placed by its objects "
         f"{error_m:.1f} m from the truth:\n"

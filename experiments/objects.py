@@ -4,12 +4,12 @@
     python -m experiments.objects matching TRAINING_SCENE... --report SCENE... [--seeds 3]
     python -m experiments.objects starts SCENE... [--weights FILE]
 
-``segments``: repeatability of segments between a map photograph and the query that sees most of its
+``segments``: repeatability of segments between a query and the map photograph that sees most of its
 ground: the mean intersection over union with the best segment there, for learned segments, SLIC,
-Felzenszwalb, squares and the true objects; and the share of objects under 3 m found in both.
+Felzenszwalb, squares and the true objects; and the share of objects found in both, by size class.
 ``matching``: graphs with and without neighbours are trained on some scenes and match objects to
-landmarks on others. ``starts``: whether the true pose (8 m, 10 degrees) is the first start, or
-among the first five. Queries have no prior; the camera is assumed to look straight down.
+landmarks on others. ``starts``: whether the true pose (8 m, 10 degrees) is the first candidate,
+or among the first five. Queries have no prior; the camera is assumed to look straight down.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ from objconnect.scene.storage.images import read_rgb
 
 # Maximum relative difference of the depths of one point in two photographs.
 SAME_DEPTH = 0.02
-# An object is found if a centre lies within half its side, or within this many pixels.
+# An object is found if a detection lies within half its side, or within this many pixels, of its
+# centre.
 NEAR_PX = 4.0
 # Maximum horizontal distance of a matched landmark from the object.
 FOUND_M = 2.0
@@ -61,7 +62,7 @@ def main() -> None:
     parser.add_argument("scenes", type=Path, nargs="+")
     parser.add_argument("--report", type=Path, nargs="+", default=[])
     parser.add_argument("--weights", type=Path, default=SHIPPED)
-    parser.add_argument("--session", default="nadir", help="queries to ask")
+    parser.add_argument("--session", default="nadir", help="session of the queries")
     parser.add_argument("--seeds", type=int, default=3)
     args = parser.parse_args()
     network, _ = read_network(args.weights)
@@ -124,10 +125,10 @@ def best_overlaps(
     names_b, b = np.unique(np.where(in_b < 0, -1, in_b), return_inverse=True)
     shared = np.zeros((len(names_a), len(names_b)))
     np.add.at(shared, (a, b), 1)
-    either = shared.sum(1, keepdims=True) + shared.sum(0) - shared
-    overlap = np.where(names_b[None] >= 0, shared / either, 0.0)
-    counted = (names_a >= 0) & (shared.sum(1) >= least)
-    return np.asarray(overlap.max(1)[counted])
+    union = shared.sum(1, keepdims=True) + shared.sum(0) - shared
+    overlap = np.where(names_b[None] >= 0, shared / union, 0.0)
+    is_counted = (names_a >= 0) & (shared.sum(1) >= least)
+    return np.asarray(overlap.max(1)[is_counted])
 
 
 def _frame(scene: Scene, name: str) -> tuple[str, int]:
@@ -182,7 +183,7 @@ def _has_centre(class_name: str, size: tuple[float, float, float]) -> bool:
     return class_name not in LINE_CLASSES and max(size[:2]) <= MAX_SIDE_M
 
 
-def _segmenter(kind: str) -> Callable[[ObjConnectNet, Scene, str], Tensor]:
+def _classical_segmenter(kind: str) -> Callable[[ObjConnectNet, Scene, str], Tensor]:
     def find(network: ObjConnectNet, scene: Scene, name: str) -> Tensor:
         config = ObjConnectNetConfig(segmentation=kind)
         return segment(_picture(scene, name), config)[0]
@@ -192,9 +193,9 @@ def _segmenter(kind: str) -> Callable[[ObjConnectNet, Scene, str], Tensor]:
 
 KINDS = [
     ("learned", segment_learned),
-    ("slic", _segmenter("slic")),
-    ("felzenszwalb", _segmenter("felzenszwalb")),
-    ("squares", _segmenter("grid")),
+    ("slic", _classical_segmenter("slic")),
+    ("felzenszwalb", _classical_segmenter("felzenszwalb")),
+    ("squares", _classical_segmenter("grid")),
     ("true objects", true_objects),
 ]
 
@@ -209,7 +210,7 @@ def find_in_both(
 ) -> list[tuple[str, bool]]:
     """Return the size class of each object in both frames, and whether it is found in both."""
     by_id = {item.id: item for item in scene.objects.objects}
-    finder, seen = finder_of(network), []
+    finder, found_by_frame = finder_of(network), []
     for name in (one, other):
         session, row = _frame(scene, name)
         frames = scene.frames(session)
@@ -217,7 +218,7 @@ def find_in_both(
             ids, count = np.unique(layers.read("instance", row), return_counts=True)
         camera, pose = frames.cameras[row], Pose.from_matrix(frames.cam_from_world[row])
         found = finder(read_rgb(scene.images_root / name), camera).xy.numpy()
-        shown = {}
+        is_found = {}
         for number in ids[count >= 12].tolist():
             item = by_id.get(number)
             if item is None or not _has_centre(item.class_name, item.size):
@@ -227,10 +228,10 @@ def find_in_both(
             if bool(xy.valid) and bool(camera.contains(xy.xy)):
                 side = max(item.size[:2]) * float(np.mean(camera.focal)) / float(middle[0, 2])
                 distance_px = np.linalg.norm(found - xy.xy.numpy(), axis=1).min(initial=np.inf)
-                shown[number] = bool(distance_px <= max(NEAR_PX, side / 2))
-        seen.append(shown)
-    in_both = sorted(set(seen[0]) & set(seen[1]))
-    return [(by_id[n].size_class, seen[0][n] and seen[1][n]) for n in in_both]
+                is_found[number] = bool(distance_px <= max(NEAR_PX, side / 2))
+        found_by_frame.append(is_found)
+    in_both = sorted(set(found_by_frame[0]) & set(found_by_frame[1]))
+    return [(by_id[n].size_class, found_by_frame[0][n] and found_by_frame[1][n]) for n in in_both]
 
 
 # ---- matching
@@ -249,7 +250,7 @@ def measure_matching(
     session: str,
     seeds: int,
 ) -> None:
-    """Print top-1 and top-5 of objects with and without neighbours, seed by seed, paired."""
+    """Print top-1 and top-5 shares with and without neighbours, and their paired p, by seed."""
     assert network.detector is not None
     training_scenes, tested = build_scenes(network, scenes), build_scenes(network, report)
     for seed in range(seeds):
@@ -261,7 +262,7 @@ def measure_matching(
             )
             ranks = np.concatenate([ranks_of(graph, each, session) for each in tested])
             ranks_by_layers[layers] = ranks
-        without, with_neighbours = ranks_by_layers[0], ranks_by_layers[2]
+        without_neighbours, with_neighbours = ranks_by_layers[0], ranks_by_layers[2]
         for layers, ranks in ranks_by_layers.items():
             total = ranks[:, 0].sum()
             print(
@@ -269,7 +270,8 @@ def measure_matching(
                 f"top-5 {ranks[:, 2].sum() / total:.3f} of {total} objects, {len(ranks)} queries"
             )
         print(
-            f"seed {seed}: p = {paired_p(with_neighbours[:, 1] - without[:, 1]):.2g} over queries"
+            f"seed {seed}: p = {paired_p(with_neighbours[:, 1] - without_neighbours[:, 1]):.2g} "
+            "over queries"
         )
 
 
@@ -277,15 +279,15 @@ def ranks_of(graph: torch.nn.Module, scene: TrainingScene, session: str) -> NDAr
     """Return for each query its number of known objects, and how many match at top-1 and top-5."""
     rows = []
     with torch.inference_mode():
-        of_landmarks = describe_landmarks(graph, scene.landmarks)  # type: ignore[arg-type]
+        landmark_vectors = describe_landmarks(graph, scene.landmarks)  # type: ignore[arg-type]
         for query in scene.queries:
             known = query.landmark >= 0
             if query.session != session or not known.any():
                 continue
-            of_query = describe_query(graph, query, np.arange(len(query.layout)))  # type: ignore[arg-type]
-            best = (of_query @ of_landmarks.T).topk(5, 1).indices.numpy()
-            away = scene.landmarks.xyz[best][..., :2] - query.xyz[:, None, :2]
-            hit = (np.linalg.norm(away, axis=-1) < FOUND_M)[known]
+            query_vectors = describe_query(graph, query, np.arange(len(query.layout)))  # type: ignore[arg-type]
+            best = (query_vectors @ landmark_vectors.T).topk(5, 1).indices.numpy()
+            offsets = scene.landmarks.xyz[best][..., :2] - query.xyz[:, None, :2]
+            hit = (np.linalg.norm(offsets, axis=-1) < FOUND_M)[known]
             rows.append((known.sum(), hit[:, 0].sum(), hit.any(1).sum()))
     return np.array(rows, np.int64).reshape(-1, 3)
 
@@ -345,13 +347,13 @@ def landmarks_bytes(landmarks: object) -> int:
 
 
 def rank_of_right(candidates: Sequence[Candidate], true: Pose) -> int:
-    """Return the rank of the first correct start, from 0 on; 99 for none."""
+    """Return the rank of the first correct candidate, from 0 on; 99 for none."""
     right = [is_right(candidate.pose, true) for candidate in candidates]
     return right.index(True) if True in right else 99
 
 
 def is_right(pose: Pose, true: Pose) -> bool:
-    """Return whether a start is within 8 m, 10 degrees of the truth."""
+    """Return whether a candidate is within 8 m, 10 degrees of the truth."""
     distance_m = float(torch.linalg.norm(pose.centre() - true.centre()))
     trace = float((pose.rotation @ true.rotation.T).trace())
     return distance_m < 8 and np.degrees(np.arccos(np.clip((trace - 1) / 2, -1, 1))) < 10

@@ -1,10 +1,10 @@
-"""Build a scene of the map of an orthophoto and the queries of another scene, for ``evaluate``.
+"""Build a scene from the map of an orthophoto and the queries of another scene, for ``evaluate``.
 
     python -m experiments.orthophoto SCENE ORTHOPHOTO DSM --out OUT [--tilt DEGREES]
         [--altitude METRES] [--overlap SHARE]
 
 The world of the new scene is that of SCENE, so that the queries keep their reference poses. The
-queries, their photographs and their frames are links to those of SCENE.
+photographs and frames of the queries are links to those of SCENE.
 """
 
 from __future__ import annotations

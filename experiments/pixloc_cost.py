@@ -10,7 +10,7 @@ and tqdm must be importable. The methods:
 - full: pixloc with the authors' network at full width (untrained) and their number of iterations;
 - authors: their code with the same weights and the same number of observations of points.
 
-The whole query counts, and the preparation of the map does not.
+Seconds include the whole query, and not the preparation of the map.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ Run = Callable[[], object]
 
 @dataclass(frozen=True)
 class Ground:
-    """A map, and a query of the same camera over it.
+    """A map, and queries over it.
 
     Attributes:
         images: folder of all photographs.
@@ -252,9 +252,7 @@ def main() -> None:
     parser.add_argument("--queries", type=int, default=8)
     parser.add_argument("--one", choices=METHODS, help=argparse.SUPPRESS)
     parser.add_argument("--threads", type=int, help=argparse.SUPPRESS)
-    parser.add_argument(
-        "--kept", type=Path, help="cache of an evaluation of the scene, to begin with"
-    )
+    parser.add_argument("--kept", type=Path, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.one:
         _measure(args)

@@ -1,9 +1,9 @@
 """Memory of the process over many queries, one after another.
 
 ``python -m experiments.query_memory SCENE --method objconnect --cache CACHE`` repeats the queries,
-or those that ``--among FIRST LAST`` picks. It prints the resident memory with the used and the free
-part of glibc's heap and the size of caches. Resident memory that grows without the used part was
-freed and not returned to the system.
+or with ``--among FIRST LAST`` the queries from number FIRST to LAST - 1. It prints the resident
+memory with the used and the free part of glibc's heap and the size of caches. Resident memory that
+grows without the used part was freed and not returned to the system.
 """
 
 from __future__ import annotations

@@ -71,8 +71,8 @@ def _draw_group(
         columns = list(line)
         ratio = np.array([each.ratio for each in line.values()])
         spread = np.array([each.spread for each in line.values()])
-        below = np.minimum(spread, 0.9 * ratio)  # the axis is logarithmic
-        panel.errorbar(columns, ratio, (below, spread), marker="o", capsize=3, label=label)
+        lower_spread = np.minimum(spread, 0.9 * ratio)  # the axis is logarithmic
+        panel.errorbar(columns, ratio, (lower_spread, spread), marker="o", capsize=3, label=label)
     panel.axhline(1, color="0.6", linewidth=0.8)
     panel.set_yscale("log", base=2)
     panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

@@ -23,12 +23,12 @@ from objconnect.scene.config import Config
 from objconnect.scene.errors import InputError
 from objconnect.scene.storage.files import parse_json, read_text
 
-# A benchmark whose name holds one of these words is a yardstick: the others of its group are
-# divided by it. In a group without one it is the first benchmark by name, because tests run in any
-# order.
-_YARDSTICKS: Final = ("bare", "pycolmap", "opencv", "products", "by_torch", "untracked")
-# Minimum spread, as a share of a ratio. Runs on different days differ by it, though rounds of one
-# run differ less.
+# A benchmark whose name holds one of these words is a baseline: the times of the other benchmarks
+# in its group are divided by its time. In a group without such a name, the first benchmark by name
+# is the baseline, because tests run in any order.
+_BASELINES: Final = ("bare", "pycolmap", "opencv", "products", "by_torch", "untracked")
+# Minimum spread, as a share of a ratio. Runs on different days differ by this much, although rounds
+# of one run differ less.
 _MIN_SPREAD: Final = 0.1
 KIND: Final = "file of ratios"
 
@@ -39,7 +39,7 @@ class Ratio(Config):
     Attributes:
         group: name of the group.
         name: name of the benchmark.
-        over: name of the yardstick.
+        over: name of the baseline.
         ratio: ratio of their median seconds.
         spread: spread of the ratio, from the quartiles of both.
     """
@@ -71,13 +71,13 @@ class Change(NamedTuple):
     """A ratio in both of two runs.
 
     Attributes:
-        before: the ratio of the earlier run.
-        now: the ratio of the later run.
+        earlier: the ratio of the earlier run.
+        later: the ratio of the later run.
         is_worse: whether it grew by more than the spread of both.
     """
 
-    before: Ratio
-    now: Ratio
+    earlier: Ratio
+    later: Ratio
     is_worse: bool
 
 
@@ -113,10 +113,10 @@ def _group_ratios(group: str, rows: Sequence[tuple[str, float, float]]) -> list[
     """Return the ratios of a group, given names, medians and distances of quartiles."""
     measured = [row for row in rows if row[1] > 0]
     first = sorted(measured, key=lambda row: _number_key(row[0]))[:1]
-    yardsticks = [row for row in measured if any(word in row[0] for word in _YARDSTICKS)] or first
+    baselines = [row for row in measured if any(word in row[0] for word in _BASELINES)] or first
     found = []
-    for name, median, quartiles in (row for row in measured if row not in yardsticks):
-        for over, other_median, other_quartiles in yardsticks:
+    for name, median, quartiles in (row for row in measured if row not in baselines):
+        for over, other_median, other_quartiles in baselines:
             spread = math.hypot(quartiles / median, other_quartiles / other_median)
             ratio = median / other_median
             found.append(
@@ -131,15 +131,15 @@ def _number_key(name: str) -> list[int | str]:
     return [int(part) if part.isdigit() else part for part in parts]
 
 
-def changes(now: Ratios, before: Ratios) -> list[Change]:
+def changes(later: Ratios, earlier: Ratios) -> list[Change]:
     """Return the ratios in both runs, in the order of the later one."""
-    known = {(each.group, each.name, each.over): each for each in before.ratios}
+    known = {(each.group, each.name, each.over): each for each in earlier.ratios}
     found = []
-    for each in now.ratios:
-        earlier = known.get((each.group, each.name, each.over))
-        if earlier is not None:
-            spread = max(math.hypot(each.spread, earlier.spread), _MIN_SPREAD * earlier.ratio)
-            found.append(Change(earlier, each, each.ratio > earlier.ratio + spread))
+    for each in later.ratios:
+        former = known.get((each.group, each.name, each.over))
+        if former is not None:
+            spread = max(math.hypot(each.spread, former.spread), _MIN_SPREAD * former.ratio)
+            found.append(Change(former, each, each.ratio > former.ratio + spread))
     return found
 
 
@@ -158,22 +158,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if args.command == "write":
             write_json(args.ratios, ratios_of(args.run))
             return 0
-        now, before = (read_json(path, Ratios, KIND) for path in (args.ratios, args.against))
+        later, earlier = (read_json(path, Ratios, KIND) for path in (args.ratios, args.against))
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    compared = changes(now, before)
+    compared = changes(later, earlier)
     if not compared:
         print(f"error: {args.ratios} and {args.against} share no ratio", file=sys.stderr)
         return 2
-    if now.processor != before.processor:
-        print(f"measured on another processor: {before.processor}, now {now.processor}")
+    if later.processor != earlier.processor:
+        print(f"measured on another processor: {earlier.processor}, now {later.processor}")
     for change in compared:
         word = "WORSE" if change.is_worse else "ok"
         print(
-            f"{word:5s} {change.now.group}: {change.now.name} over {change.now.over} "
-            f"{change.now.ratio:.3g} (spread {change.now.spread:.2g}), "
-            f"before {change.before.ratio:.3g} ({change.before.spread:.2g})"
+            f"{word:5s} {change.later.group}: {change.later.name} over {change.later.over} "
+            f"{change.later.ratio:.3g} (spread {change.later.spread:.2g}), "
+            f"before {change.earlier.ratio:.3g} ({change.earlier.spread:.2g})"
         )
     return int(any(change.is_worse for change in compared))
 

@@ -6,7 +6,7 @@
 MAP and QUERIES are nadir pictures of the same size, of one site at two dates. MAP becomes an
 orthophoto on level ground, mapped like ``objconnect map --ortho``. The queries are rendered from
 QUERIES at exact poses, with a tilt of at most 30 degrees and any heading. ``--look`` is the
-strength of random changes of their colours, light, noise and sharpness.
+strength of random changes of their colours, light, sharpness, snow, haze and noise.
 """
 
 from __future__ import annotations
@@ -46,13 +46,13 @@ _PIXEL_RATIOS: Final = (0.7, 1.5)
 # Minimum share of a photograph that the picture must fill.
 _MIN_FILLED: Final = 0.8
 # Pixels of the level ground are this many times as wide as those of the picture.
-_COARSER: Final = 8
+_GROUND_PIXEL_RATIO: Final = 8
 # Maximum number of poses that are drawn per photograph.
 _MAX_TRIES: Final = 100
 
 
 def change_look(picture: Picture, rng: np.random.Generator, strength: float) -> Picture:
-    """Return a picture with random light, camera response, snow and haze."""
+    """Return a picture with random colours, light, sharpness, snow, haze and noise."""
     x = picture.astype(np.float32) / 255
     x = x ** np.exp(rng.normal(0, 0.35 * strength))
     x = np.clip(x @ (np.eye(3) + rng.normal(0, 0.12 * strength, (3, 3))).T, 0, 1)
@@ -105,7 +105,7 @@ def photograph(picture: Picture, pose: Pose, metres: float) -> Picture | None:
     from_ground = lens @ np.stack([rotation[:, 0], rotation[:, 1], translation], 1)
     pixel = metres / _GRID_SCALE
     to_picture = np.array([[1 / pixel, 0, columns / 2], [0, -1 / pixel, rows / 2], [0, 0, 1]])
-    centres = np.array([[1, 0, -0.5], [0, 1, -0.5], [0, 0, 1]])  # OpenCV counts from pixel centres
+    centres = np.array([[1, 0, -0.5], [0, 1, -0.5], [0, 0, 1]])  # OpenCV: origin at a pixel centre
     warp = centres @ to_picture @ np.linalg.inv(from_ground) @ np.linalg.inv(centres)
     size, flags = (_SIDE, _SIDE), cv2.WARP_INVERSE_MAP
     whole = np.ones((rows, columns), np.uint8)
@@ -120,23 +120,25 @@ def photograph(picture: Picture, pose: Pose, metres: float) -> Picture | None:
 
 def make(args: argparse.Namespace) -> None:
     """Map one picture, photograph the other, and write the flight."""
-    mapped, other = (cv2.imread(str(path))[..., ::-1] for path in (args.map, args.queries))
+    map_picture, query_picture = (
+        cv2.imread(str(path))[..., ::-1] for path in (args.map, args.queries)
+    )
     with tempfile.TemporaryDirectory() as folder:
         scene = Path(folder) / "scene"
-        rasters = _rasters(Path(folder), np.ascontiguousarray(mapped), args.metres)
+        rasters = _rasters(Path(folder), np.ascontiguousarray(map_picture), args.metres)
         photograph_orthophoto(*rasters, scene, options=ViewOptions(overlap=0.65))
         build_map(scene)
         shutil.copytree(scene / "map", args.out / "sparse" / "map")
         shutil.copytree(scene / "sessions" / "virtual", args.out / "images" / "virtual")
     rng = np.random.default_rng(args.seed)
-    extent = np.array(mapped.shape[1::-1]) * args.metres
+    extent = np.array(map_picture.shape[1::-1]) * args.metres
     cameras: list[str] = []
     poses: list[str] = []
     for _ in range(_MAX_TRIES * args.number):
         if len(cameras) == args.number:
             break
         pose = camera_pose(rng, extent, args.metres)
-        view = photograph(np.ascontiguousarray(other), pose, args.metres)
+        view = photograph(np.ascontiguousarray(query_picture), pose, args.metres)
         if view is None:
             continue
         name = f"q{len(cameras):03d}.jpg"
@@ -159,9 +161,9 @@ def _rasters(folder: Path, picture: Picture, metres: float) -> tuple[Path, Path]
     size = {"width": columns, "height": rows, "count": 3, "dtype": "uint8", "photometric": "RGB"}
     with rasterio.open(folder / "ortho.tif", "w", transform=place, **size, **shared) as file:
         file.write(picture.transpose(2, 0, 1))
-    wide, high = math.ceil(columns / _COARSER), math.ceil(rows / _COARSER)
+    wide, high = math.ceil(columns / _GROUND_PIXEL_RATIO), math.ceil(rows / _GROUND_PIXEL_RATIO)
     ground = np.full((1, high, wide), _HEIGHT, np.float32)
-    place = from_origin(west, north, _COARSER * metres, _COARSER * metres)
+    place = from_origin(west, north, _GROUND_PIXEL_RATIO * metres, _GROUND_PIXEL_RATIO * metres)
     size = {"width": wide, "height": high, "count": 1, "dtype": "float32"}
     with rasterio.open(folder / "dsm.tif", "w", transform=place, **size, **shared) as file:
         file.write(ground)

@@ -23,7 +23,7 @@ from objconnect.scene.runtime.progress import progress_bar
 T = TypeVar("T")
 
 
-class Searched(NamedTuple):
+class SearchedQuery(NamedTuple):
     """A query without a prior, and the search that finds its candidates.
 
     Attributes:
@@ -37,7 +37,7 @@ class Searched(NamedTuple):
     truth: Pose
 
 
-def open_searches(dataset: Dataset, every: int, cache: Path) -> Iterator[Searched]:
+def open_searches(dataset: Dataset, every: int, cache: Path) -> Iterator[SearchedQuery]:
     """Yield every N-th query of a data set, with a search without matches and tracking."""
     localizer = create("objconnect", {"matches": None, "tracking": None})
     assert isinstance(localizer, FeaturemetricLocalizer)
@@ -47,16 +47,16 @@ def open_searches(dataset: Dataset, every: int, cache: Path) -> Iterator[Searche
     queries = dataset.queries[::every]
     with progress_bar(dataset.name, len(queries)) as advance, torch.inference_mode():
         for done, query in enumerate(queries, 1):
-            yield Searched(localizer.map_state.search, load(query), query.reference)
+            yield SearchedQuery(localizer.map_state.search, load(query), query.reference)
             advance(done)
 
 
-def measure_searches(description: str, measure: Callable[[Searched], T]) -> list[T]:
+def measure_searches(description: str, measure: Callable[[SearchedQuery], T]) -> list[T]:
     """Return the measurement of every N-th query of the data sets on the command line.
 
     Args:
-        description: documentation of the experiment; its first line is the help's.
-        measure: what is measured of a query.
+        description: documentation of the experiment; its first line is the help text.
+        measure: function that measures a query.
     """
     parser = argparse.ArgumentParser(description=description.partition("\n")[0])
     parser.add_argument("datasets", nargs="+", type=Path)

@@ -44,7 +44,7 @@ QUARTERS = 4
 
 
 @dataclass
-class Timed:
+class TimedLocalizer:
     """A localizer that counts its queries and the processor seconds that they take."""
 
     inner: Localizer
@@ -71,7 +71,7 @@ class Timed:
 def remove_gps(srt: Path, lost_after_s: float, gimbal: bool) -> None:
     """Replace positions of subtitles by the zeros that a drone writes without a fix."""
     blocks = srt.read_text("utf-8").split("\n\n")
-    kept = []
+    new_blocks = []
     for block in blocks:
         start = re.search(r"(\d+):(\d+):(\d+),(\d+) -->", block)
         if start is not None:
@@ -80,8 +80,8 @@ def remove_gps(srt: Path, lost_after_s: float, gimbal: bool) -> None:
                 block = re.sub(r"(latitude|longitude): [-\d.]+", r"\1: 0.000000", block)
                 block = re.sub(r"\[rel_alt: [^\]]*\] ?", "", block)
                 block = block if gimbal else re.sub(r"\[gb_yaw: [^\]]*\] ?", "", block)
-        kept.append(block)
-    srt.write_text("\n\n".join(kept), "utf-8")
+        new_blocks.append(block)
+    srt.write_text("\n\n".join(new_blocks), "utf-8")
 
 
 def blank(video: Path, begin_s: float, end_s: float) -> None:
@@ -95,7 +95,7 @@ def blank(video: Path, begin_s: float, end_s: float) -> None:
 
 
 def report(
-    name: str, located: list[ImageEstimate], truth: dict[str, Pose], localizer: Timed
+    name: str, located: list[ImageEstimate], truth: dict[str, Pose], localizer: TimedLocalizer
 ) -> dict[str, object]:
     """Return the figures of a run."""
     errors = np.full((len(located), 2), np.inf)
@@ -157,7 +157,7 @@ def main() -> None:
     localization_map = open_map(args.map)
     configs = {"sequence": SequenceConfig(), "frames": SequenceConfig(lost_sigma_m=1e-6)}
     for name in args.runs:
-        localizer = Timed(create(args.method, {}))
+        localizer = TimedLocalizer(create(args.method, {}))
         options = LocalizeOptions(
             gps_sigma_m=3.0, sequence=configs[name], undulation_m=0.0, cache=args.cache
         )

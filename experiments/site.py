@@ -103,28 +103,30 @@ def write_flown(scene: Scene, size: int, out: Path) -> None:
     out.write_text(yaml.safe_dump(config, sort_keys=False))
 
 
-def cross(mapped: Scene, queried: Scene, out: Path) -> None:
+def cross(map_scene: Scene, query_scene: Scene, out: Path) -> None:
     """Build a scene of the map of one scene and the queries of another in the same world."""
-    owners = {name.split("/")[0]: mapped for name in mapped.splits.map}
-    if in_both := owners.keys() & queried.splits.queries.keys():
+    owners = {name.split("/")[0]: map_scene for name in map_scene.splits.map}
+    if in_both := owners.keys() & query_scene.splits.queries.keys():
         raise SystemExit(
             f"session {min(in_both)} has the map of one scene and queries of the other"
         )
-    owners |= dict.fromkeys(queried.splits.queries, queried)
+    owners |= dict.fromkeys(query_scene.splits.queries, query_scene)
     for session, owner in owners.items():
         shutil.copytree(
             owner.images_root / session, out / "sessions" / session, copy_function=_link
         )
-    shutil.copytree(mapped.map_path, out / "map", copy_function=_link)
-    shutil.copyfile(mapped.path / "objects.json", out / "objects.json")
-    splits = Splits(map=mapped.splits.map, queries=queried.splits.queries)
+    shutil.copytree(map_scene.map_path, out / "map", copy_function=_link)
+    shutil.copyfile(map_scene.path / "objects.json", out / "objects.json")
+    splits = Splits(map=map_scene.splits.map, queries=query_scene.splits.queries)
     write_json(out / "splits.json", splits)
     changed = {
         "sessions": {name: owner.sessions[name] for name, owner in owners.items()},
-        "reference": max(mapped.manifest.reference, queried.manifest.reference),  # "sfm" if any
+        "reference": max(
+            map_scene.manifest.reference, query_scene.manifest.reference
+        ),  # "sfm" if any
         "pixels_sha256": {},
     }
-    finish_scene(out, mapped.manifest.model_copy(update=changed))
+    finish_scene(out, map_scene.manifest.model_copy(update=changed))
 
 
 def compare_colours(real: Scene, twin: Scene) -> None:
@@ -150,8 +152,8 @@ def compare_classes(real: Scene, world: World) -> None:
                 )
                 pose = frames.cam_from_world[k]
                 points = (rays * depth[..., None] - pose[:3, 3]) @ pose[:3, :3]
-                within = (np.abs(points[..., :2]) < 0.5 * world.side_m).all(-1)
-                up = within & (depth > 0) & (normal[..., 2] > _FACES_UP)
+                is_on_site = (np.abs(points[..., :2]) < 0.5 * world.side_m).all(-1)
+                up = is_on_site & (depth > 0) & (normal[..., 2] > _FACES_UP)
                 found = world.ground.label(points[up][:, 0], points[up][:, 1])
                 np.add.at(count, (label[up], found), 1)
     classes = real.objects.classes
@@ -163,10 +165,10 @@ def compare_classes(real: Scene, world: World) -> None:
 
 
 def compare_features(flight: Scene, twin: Scene) -> None:
-    """Print colours and SIFT features of a flight's queries and of its twin's same flight.
+    """Print colours and SIFT features of a flight's queries and of the same flight over its twin.
 
-    A pixel of both shows the same, so that the classes are the twin's. Photographs of the flight
-    get the size of the twin's.
+    The same pixel shows the same ground in both, so that the twin's classes hold for both.
+    Photographs of the flight get the size of the twin's.
     """
     (photographs,) = flight.splits.queries.values()
     session = next(iter(twin.splits.queries))
@@ -200,7 +202,7 @@ def compare_features(flight: Scene, twin: Scene) -> None:
 
 
 def strip(real: Scene, twin: Scene, out: Path, query: int) -> None:
-    """Draw one query: real and twin in summer, twin in winter, and real in winter if there is."""
+    """Draw one query: real and twin in summer, twin in winter, and real in winter if it exists."""
     first, *later = real.splits.queries
     summer, winter = list(twin.splits.queries)
     order = [(real, first), (twin, summer), (twin, winter), *((real, s) for s in later[:1])]

@@ -40,8 +40,8 @@ def _ranks(localizer: Localizer, dataset: Dataset) -> Iterator[NDArray[np.int64]
             loaded = query.load()
             if isinstance(localizer, FeaturemetricLocalizer):
                 with torch.inference_mode():
-                    described = localizer.map_state.refine.describe(loaded)
-                yield localizer.map_state.refine.retrieval.index.rank(described, max(_FIRST))
+                    descriptors = localizer.map_state.refine.describe(loaded)
+                yield localizer.map_state.refine.retrieval.index.rank(descriptors, max(_FIRST))
             else:
                 assert isinstance(localizer, StructureLocalizer)
                 yield localizer.find_similar(loaded, max(_FIRST))
@@ -77,15 +77,17 @@ def main() -> None:
         for dataset, is_correct in zip(datasets, correct, strict=True):
             localizer = create(method, {})
             localizer.prepare(dataset.load_map(), dataset.images, cache)
-            for of_query, rows in zip(is_correct, _ranks(localizer, dataset), strict=True):
-                hits.append([bool(of_query[rows[:first]].any()) for first in _FIRST])
+            for is_correct_for_query, rows in zip(
+                is_correct, _ranks(localizer, dataset), strict=True
+            ):
+                hits.append([bool(is_correct_for_query[rows[:first]].any()) for first in _FIRST])
         for first, is_hit in zip(_FIRST, zip(*hits, strict=True), strict=True):
             print(f"{method} first {first}: {share(is_hit, courses).text()} %")
     for first in _FIRST:
         missed = [(~is_correct).mean(1) ** first for is_correct in correct]
         print(f"chance first {first}: {100 * (1 - np.concatenate(missed).mean()):.1f} %")
-    without = sum(int((~is_correct.any(1)).sum()) for is_correct in correct)
-    print(f"{queries} queries, {without} without any")
+    without_correct = sum(int((~is_correct.any(1)).sum()) for is_correct in correct)
+    print(f"{queries} queries, {without_correct} without any")
 
 
 if __name__ == "__main__":

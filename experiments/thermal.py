@@ -63,11 +63,13 @@ def render_session(
     before = _children_seconds()
     render(job, folder / ".objconnect-rendered")
     rendering = _children_seconds() - before
-    shown = poses[list(frames)]
-    listed = _frames(folder.name, shown, camera, chosen, config, np.random.default_rng(0))
+    frame_poses = poses[list(frames)]
+    session_frames = _frames(
+        folder.name, frame_poses, camera, chosen, config, np.random.default_rng(0)
+    )
     start = time.process_time()
-    packed = _pack(folder, listed, config, _thermal(config, chosen))
-    write_frames(folder / "frames.h5", listed, tuple(LAYERS), packed)
+    packed = _pack(folder, session_frames, config, _thermal(config, chosen))
+    write_frames(folder / "frames.h5", session_frames, tuple(LAYERS), packed)
     return rendering, time.process_time() - start
 
 

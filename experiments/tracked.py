@@ -99,9 +99,9 @@ class Run:
         }
 
 
-def ratio(ours: Sequence[float], theirs: Sequence[float]) -> float:
+def ratio(seconds: Sequence[float], reference: Sequence[float]) -> float:
     """Return the median over the frames of the ratio of two lists of seconds."""
-    return round(float(np.median(np.array(ours) / np.array(theirs))), 3)
+    return round(float(np.median(np.array(seconds) / np.array(reference))), 3)
 
 
 def frames_of(scene: Scene, session: str, every: int, rate_hz: float) -> list[Frame]:
@@ -161,8 +161,8 @@ def main() -> None:
     runs = [create_run(localization_map, args.cache, args.method, tracking, "tracked")]
     if not args.alone:
         alone = settings | {"tracking": None}
-        without = create_run(localization_map, args.cache, args.method, alone, "without")
-        runs.insert(0, without)
+        untracked = create_run(localization_map, args.cache, args.method, alone, "without")
+        runs.insert(0, untracked)
     for number, frame in enumerate(frames):
         prior = prior_of(frame) if number == 0 else None
         for run in runs if number % 2 else runs[::-1]:

@@ -28,7 +28,7 @@ def main() -> None:
     parser.add_argument("other", type=Path)
     parser.add_argument("--method", default="objconnect")
     parser.add_argument("--start", default="none", type=parse_start)
-    parser.add_argument("--only", default="", help="queries whose names begin so")
+    parser.add_argument("--only", default="", help="localize only queries whose names begin so")
     parser.add_argument("--cache", type=Path)
     args = parser.parse_args()
     (dataset,), (other,) = open_datasets(args.scene), open_datasets(args.other)

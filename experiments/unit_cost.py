@@ -34,17 +34,17 @@ _SAMPLES = 8
 def unit_cost(scene: Scene) -> Iterator[tuple[str, str]]:
     """Yield the name and the cost of each part."""
     photographs = list(scene.images_root.rglob("*.jpg"))
-    root, mapped, count = scene.images_root, scene.splits.map, len(photographs)
+    root, map_names, count = scene.images_root, scene.splits.map, len(photographs)
     yield "JPEG of a photograph", _kilobytes(photographs, count)
     yield "its layers", _kilobytes(root.rglob("*.h5"), count)
-    yield "map, of a photograph", _kilobytes(scene.map_path.rglob("*"), len(mapped))
+    yield "map, of a photograph", _kilobytes(scene.map_path.rglob("*"), len(map_names))
     for name, run in (("covisibility", measure_covisibility), ("digests", pixel_digests)):
         began = time.process_time()
         run(scene)
         spent = (time.process_time() - began) / count
         yield f"{name}, of one of {count}", f"{spent:.3f} cpu-s"
     options = SiftOptions()
-    found = extract_sift(root, mapped[:_SAMPLES], options, threads=1)
+    found = extract_sift(root, map_names[:_SAMPLES], options, threads=1)
     names = list(found)
     descriptors = [unit_descriptors(found[name].descriptors) for name in names]
     sift = _seconds(lambda k: extract_sift(root, [names[k]], options, threads=1))

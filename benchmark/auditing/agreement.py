@@ -28,7 +28,7 @@ CHECK = "poses agree with the photographs"
 _AGREES_PX, _MIN_AGREES_PX = 2.0, 1.0
 # Poses are right if this share of the matches agrees with them.
 RIGHT_SHARE = 0.7
-# Another convention is reported if the share of agreeing matches grows by more than this in it.
+# Another convention is reported if it raises the share of agreeing matches by more than this.
 MIN_GAIN = 0.15
 # With fewer pairs or matches, the check decides nothing.
 _LEAST_PAIRS = 3
@@ -63,15 +63,15 @@ def rays_of(pairs: Sequence[Pair], cameras: Sequence[Camera | None]) -> list[Ray
             continue
         first, valid = a.unproject(torch.from_numpy(pair.xy_first))
         second, valid_second = b.unproject(torch.from_numpy(pair.xy_second))
-        kept = valid & valid_second
+        is_valid = valid & valid_second
         scale = max(b.width, b.height) / WORKING_SIDE
         focal = float(np.mean(b.focal))
         threshold = max(_AGREES_PX * scale, _MIN_AGREES_PX)
-        all_rays.append(Rays(pair, first[kept], second[kept], focal, threshold))
+        all_rays.append(Rays(pair, first[is_valid], second[is_valid], focal, threshold))
     return all_rays
 
 
-def errors(rays: Rays, poses: Array) -> Array:
+def sampson_errors(rays: Rays, poses: Array) -> Array:
     """Return the Sampson error (px) of each match (K,).
 
     It is infinite for points behind a camera, and for two cameras at one position.
@@ -98,14 +98,14 @@ def errors(rays: Rays, poses: Array) -> Array:
     return np.asarray(torch.where(behind, torch.inf, error.abs()).numpy())
 
 
-def shares(rays: Sequence[Rays], poses: Array) -> Array:
+def agreement_by_pair(rays: Sequence[Rays], poses: Array) -> Array:
     """Return for each pair the share of its matches that agree with the poses, (P,)."""
-    return np.array([float((errors(r, poses) < r.threshold).mean()) for r in rays])
+    return np.array([float((sampson_errors(r, poses) < r.threshold).mean()) for r in rays])
 
 
-def share(rays: Sequence[Rays], poses: Array) -> float:
+def mean_agreement(rays: Sequence[Rays], poses: Array) -> float:
     """Return the mean over all pairs of the share of agreeing matches."""
-    return float(shares(rays, poses).mean())
+    return float(agreement_by_pair(rays, poses).mean())
 
 
 def explain_too_few(rays: Sequence[Rays]) -> str:
@@ -122,11 +122,12 @@ def explain_too_few(rays: Sequence[Rays]) -> str:
 def best_convention(rays: Sequence[Rays], poses: Array) -> tuple[PoseConvention | None, float]:
     """Return the convention in which most matches agree with the poses, and their share.
 
-    The convention is None if none has a share above that of the poses as stated by ``MIN_GAIN``.
+    The convention is None if none raises the share of the stated poses by more than ``MIN_GAIN``.
     """
-    as_stated = share(rays, poses)
+    as_stated = mean_agreement(rays, poses)
     candidates = [
-        (share(rays, convention.poses(poses)), convention) for convention in FOREIGN_CONVENTIONS
+        (mean_agreement(rays, convention.poses(poses)), convention)
+        for convention in FOREIGN_CONVENTIONS
     ]
     best, convention = max(candidates, key=lambda item: item[0])
     return (convention, best) if best > as_stated + MIN_GAIN else (None, as_stated)
@@ -136,7 +137,7 @@ def check_poses(rays: Sequence[Rays], poses: Array) -> tuple[Finding, Array]:
     """Check poses, and return them in the convention that agrees with the photographs."""
     if why := explain_too_few(rays):
         return unknown(CHECK, why), poses
-    as_stated = share(rays, poses)
+    as_stated = mean_agreement(rays, poses)
     figures = {"agreeing": as_stated, "pairs": float(len(rays))}
     convention, best = best_convention(rays, poses)
     if convention is not None and best >= RIGHT_SHARE:
@@ -146,7 +147,7 @@ def check_poses(rays: Sequence[Rays], poses: Array) -> tuple[Finding, Array]:
         )
         return finding, convention.poses(poses)
     if as_stated >= RIGHT_SHARE:
-        pixels = float(np.median(np.concatenate([errors(r, poses) for r in rays])))
+        pixels = float(np.median(np.concatenate([sampson_errors(r, poses) for r in rays])))
         matches = sum(len(r.first) for r in rays)
         detail = (
             f"{as_stated:.0%} of {matches} matches in {len(rays)} pairs, median {pixels:.2f} px"

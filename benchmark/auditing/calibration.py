@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from benchmark.auditing.agreement import errors, rays_of
+from benchmark.auditing.agreement import rays_of, sampson_errors
 from benchmark.auditing.findings import Finding, right, unknown, wrong
 from benchmark.auditing.matches import Pair
 from objconnect.scene.geometry.camera import MODELS, Camera
@@ -50,7 +50,7 @@ _CONVERGED = (1e-4, 1e-2, 1e-2)  # the fit stops after a step below this
 _MIN_SIGMA_PX = 0.02  # lower bound of the scale of the residuals
 # Matches with an initial error above ``Rays.threshold`` times this are left out.
 _OUTLIER_FACTOR = 12.0
-# About this many matches of a pair are used at most, and at least this many pairs are needed.
+# At most this many matches of a pair are used, and at least this many pairs are needed.
 _PER_PAIR = 150
 _LEAST_PAIRS = 4
 # A ridge that keeps the step finite if the matches do not determine a parameter.
@@ -97,9 +97,9 @@ def fit_correction(
     inliers = []
     for rays in rays_of(pairs, cameras):
         pair = rays.pair
-        kept = np.flatnonzero(errors(rays, poses) < _OUTLIER_FACTOR * rays.threshold)
-        if len(kept):
-            thinned = kept[:: 1 + len(kept) // _PER_PAIR]
+        agreeing = np.flatnonzero(sampson_errors(rays, poses) < _OUTLIER_FACTOR * rays.threshold)
+        if len(agreeing):
+            thinned = agreeing[:: 1 + len(agreeing) // _PER_PAIR]
             inliers.append(
                 Pair(pair.first, pair.second, pair.xy_first[thinned], pair.xy_second[thinned])
             )

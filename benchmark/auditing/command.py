@@ -13,8 +13,8 @@ from benchmark.auditing.agreement import (
     RIGHT_SHARE,
     Rays,
     check_poses,
+    mean_agreement,
     rays_of,
-    share,
 )
 from benchmark.auditing.calibration import (
     Correction,
@@ -54,13 +54,13 @@ def audit(
 
     Args:
         path: a scene, a flight, or poses of another program; see ``opening.open_data``.
-        images: folder of the photographs; None tries the usual folders of the format.
+        images: folder of the photographs; None searches the usual folders of the format.
         camera: camera of the photographs if the data set states none.
         out: HTML file for the verdicts; None writes none.
         frame: frame of another program's poses, if their file does not state it.
 
     Raises:
-        InputError: no reader knows the path, a file is damaged, or the page cannot be written.
+        InputError: as for ``opening.open_data``, or the page cannot be written.
     """
     if out is not None:
         check_page(out, [path, *([images] if images is not None else [])])
@@ -148,7 +148,7 @@ def _check_poses_and_order(
     fitted = fit_correction(pairs, cameras, poses)
     if fitted is not None:
         corrected = rays_of(pairs, _correct_cameras(cameras, fitted))
-        if share(corrected, poses) >= RIGHT_SHARE:
+        if mean_agreement(corrected, poses) >= RIGHT_SHARE:
             return check_poses(corrected, poses)[0], poses, fitted
     ordered = find_order(rays, poses, stated.names)
     return (finding, poses, None) if ordered is None else (*ordered, None)

@@ -23,8 +23,7 @@ class Finding:
     Attributes:
         check: the checked property.
         verdict: the verdict.
-        detail: one line: what was measured and, if wrong, what the fault looks like, or why it
-            is unknown.
+        detail: one line: the measurement and, if wrong, the likely fault; if unknown, the reason.
         fault: short name of the fault for programs, such as ``poses-inverted``; empty unless the
             verdict is wrong.
         figures: the measured numbers.
@@ -61,8 +60,8 @@ class Audit:
         kind: its format.
         photographs: number of photographs that it lists.
         findings: one for each check.
-        plan: east and north (m) of photographs as stated and as GPS measured them, four numbers
-            each; empty where there is no GPS.
+        plan: stated east and north, then measured east and north (m) of each photograph with GPS;
+            empty without GPS.
     """
 
     subject: str

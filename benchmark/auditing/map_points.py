@@ -44,8 +44,8 @@ def check_points(
                 and stated_camera is not None
                 and camera.width == stated_camera.width
             )
-            used = camera if same_size and camera is not None else images[name].camera
-            images[name] = replace(images[name], cam_from_world=pose, camera=used)
+            used_camera = camera if same_size and camera is not None else images[name].camera
+            images[name] = replace(images[name], cam_from_world=pose, camera=used_camera)
     if not any((image.point_rows >= 0).any() for image in images.values()):
         return unknown(CHECK, "the map has no observation")
     check = check_map(replace(sparse_map, images=images))

@@ -32,7 +32,7 @@ _RATIO = 0.8
 _SUCCESSORS = 2
 _SIMILAR = 4
 # Inlier threshold of the fundamental matrix, in thousandths of the longer side.
-_INLIER = 2.0
+_INLIER_THRESHOLD = 2.0
 # Two photographs with fewer inliers do not overlap.
 LEAST_MATCHES = 30
 
@@ -109,7 +109,7 @@ def _extract(file: Path, extract: SiftExtractor) -> _PhotographFeatures | None:
         size = (max(round(scale * width), 1), max(round(scale * height), 1))
         shrunk = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
     features = extract(shrunk)
-    # Pixels count from the corner, so that the ratio of the sizes converts them.
+    # The origin of pixel coordinates is the image corner, so that the ratio of sizes scales them.
     factor = np.array([width / shrunk.shape[1], height / shrunk.shape[0]])
     xy = features.xy.astype(np.float64) * factor
     return _PhotographFeatures(xy, unit_descriptors(features.descriptors), max(height, width))
@@ -138,7 +138,7 @@ def _match(
     if len(matches) < LEAST_MATCHES:
         return None
     xy_a, xy_b = features_of[a].xy[matches[:, 0]], features_of[b].xy[matches[:, 1]]
-    threshold = _INLIER / 1000 * max(features_of[a].side, features_of[b].side)
+    threshold = _INLIER_THRESHOLD / 1000 * max(features_of[a].side, features_of[b].side)
     flat_a, flat_b = undistort(xy_a, cameras[a]), undistort(xy_b, cameras[b])
     try:
         _, mask = cv2.findFundamentalMat(flat_a, flat_b, cv2.USAC_MAGSAC, threshold, 0.999, 5000)
@@ -146,8 +146,8 @@ def _match(
         return None
     if mask is None or int(mask.sum()) < LEAST_MATCHES:
         return None
-    kept = mask.ravel().astype(bool)
-    return Pair(a, b, xy_a[kept], xy_b[kept])
+    is_inlier = mask.ravel().astype(bool)
+    return Pair(a, b, xy_a[is_inlier], xy_b[is_inlier])
 
 
 def undistort(xy: Array, camera: Camera | None) -> Array:

@@ -57,30 +57,34 @@ def open_data(
     Args:
         path: a scene, a flight, Extended CMU Seasons, or poses of another program: a file, its
             folder, or the folder of a project.
-        images: folder of the photographs; None tries the usual folders of the format.
+        images: folder of the photographs; None searches the usual folders of the format.
         camera: camera of the photographs if the data set states none.
         frame: frame of another program's poses, if their file does not state it.
 
     Raises:
-        InputError: no reader knows the path, a file is damaged, ``images`` is not a folder, or
-            ``frame`` is given for a format that states its frame.
+        InputError: no reader supports the path, a file is damaged, every session of a scene has a
+            rolling shutter, ``images`` is not a folder, has none of the photographs or is given for
+            a scene, or ``frame`` is given for a format that states its frame.
     """
     if images is not None and not images.is_dir():
         raise InputError(f"{images} is not a folder: give the photographs' folder with --images")
-    foreign = not is_scene(path) and not (path.is_dir() and _is_dataset(path))
-    if frame is not None and not foreign:
+    is_foreign = not is_scene(path) and not (path.is_dir() and _is_dataset(path))
+    if frame is not None and not is_foreign:
         raise InputError(f"{path} is not {FRAMELESS_FILES}: leave out --poses-frame")
     if is_scene(path):
         if images is not None:
             raise InputError(f"{path} is a scene with its own photographs: leave out --images")
         return [_read_scene(Scene.open(path))]
-    if not foreign:
+    if not is_foreign:
         return [_read_dataset(dataset, images) for dataset in open_datasets(path)]
     return [_read_poses(_find_pose_file(path), images, camera, frame)]
 
 
 def _is_dataset(path: Path) -> bool:
-    """Return whether a folder is a flight or CMU; a folder ``sparse`` alone is a COLMAP project."""
+    """Return whether a folder is a flight or Extended CMU Seasons.
+
+    A folder that holds only ``sparse`` is a COLMAP project.
+    """
     if (path / "queries.txt").exists() or (path / "reference_poses.txt").exists():
         return True
     return bool(READERS.load("cmu").is_one(path))
@@ -121,12 +125,12 @@ def _read_scene(scene: Scene) -> StatedData:
 def _read_dataset(dataset: Dataset, images: Path | None) -> StatedData:
     """Return the photographs of the map and the queries together."""
     sparse_map = dataset.load_map()
-    mapped = list(sparse_map.images.values())
+    map_images = list(sparse_map.images.values())
     folder = dataset.images if images is None else images
-    names = [*(image.name for image in mapped), *(query.name for query in dataset.queries)]
-    files = [folder / image.name for image in mapped]
+    names = [*(image.name for image in map_images), *(query.name for query in dataset.queries)]
+    files = [folder / image.name for image in map_images]
     files += [folder / q.name if images is not None else q.image for q in dataset.queries]
-    poses = [image.cam_from_world for image in mapped]
+    poses = [image.cam_from_world for image in map_images]
     poses += [query.reference.matrix().numpy() for query in dataset.queries]
     fixes = _read_measured_positions(dataset)
     measured = np.array([fixes.get(name, np.full(3, np.nan)) for name in names])
@@ -136,7 +140,7 @@ def _read_dataset(dataset: Dataset, images: Path | None) -> StatedData:
             kind=dataset.track,
             names=tuple(names),
             files=tuple(files),
-            cameras=(*(i.camera for i in mapped), *(q.camera for q in dataset.queries)),
+            cameras=(*(i.camera for i in map_images), *(q.camera for q in dataset.queries)),
             cam_from_world=np.array(poses),
             measured=measured,
             sparse_map=sparse_map,
@@ -166,8 +170,8 @@ def _read_poses(
 ) -> StatedData:
     """Return the poses of another program, or the positions of a table without poses."""
     refuse_unsupported(path)
-    table = path.suffix.lower() == ".csv" and path.is_file()
-    table_rows = _read_geodetic_table(path) if table else None
+    is_table = path.suffix.lower() == ".csv" and path.is_file()
+    table_rows = _read_geodetic_table(path) if is_table else None
     if table_rows is not None and frame is not None:
         raise InputError(f"{path} is not {FRAMELESS_FILES}: leave out --poses-frame")
     if table_rows is not None:
@@ -278,8 +282,8 @@ def _find_by_name(folder: Path, names: Sequence[str], path: Path) -> dict[str, P
     exact = {name: folder / name for name in names if (folder / name).is_file()}
     if len(exact) == len(names):
         return exact
-    listed = list_files(folder, _ENDINGS)
-    relative = {file.relative_to(folder).as_posix(): file for file in listed}
+    folder_files = list_files(folder, _ENDINGS)
+    relative = {file.relative_to(folder).as_posix(): file for file in folder_files}
     found = {
         name: relative[file] for file, name in match_files(list(relative), names, path).items()
     }

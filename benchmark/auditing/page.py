@@ -23,7 +23,7 @@ def check_page(out: Path, inputs: Sequence[Path]) -> None:
     """Refuse a page that cannot be written.
 
     Raises:
-        InputError: the name does not end in .html, or as for ``check_outputs``.
+        InputError: the name ends in neither .html nor .htm, or ``check_outputs`` refuses the file.
     """
     if out.suffix.lower() not in ENDINGS:
         raise InputError(f"{out} must end in .html: the page of an audit is HTML")

@@ -1,7 +1,7 @@
-"""Detection of poses that belong to other photographs: shifted, swapped, shuffled, or single ones.
+"""Detection of poses that belong to other photographs: all shifted or shuffled, or some wrong.
 
-It runs if the poses agree with the photographs in no convention. It also runs if most poses agree,
-because single ones may still be wrong.
+The search runs if the poses agree with the photographs in no convention. It also runs if most poses
+agree, because single poses may still be wrong.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.auditing.agreement import CHECK, RIGHT_SHARE, Rays, share, shares
+from benchmark.auditing.agreement import CHECK, RIGHT_SHARE, Rays, agreement_by_pair, mean_agreement
 from benchmark.auditing.findings import Finding, wrong
 from benchmark.auditing.statements import centres
 
@@ -44,27 +44,27 @@ def find_order(
         poses: cam_from_world (N, 4, 4), in the order of the names.
         names: names of the photographs.
     """
-    as_stated = share(rays, poses)
+    as_stated = mean_agreement(rays, poses)
     if as_stated < RIGHT_SHARE:
-        shifted = {k: share(rays, np.roll(poses, -k, axis=0)) for k in SHIFTS}
+        shifted = {k: mean_agreement(rays, np.roll(poses, -k, axis=0)) for k in SHIFTS}
         best = max(shifted, key=lambda k: shifted[k])
         # Poses at the ends wrap around to wrong photographs, so that fewer matches agree.
         if shifted[best] > max(2 * as_stated, RIGHT_SHARE - 0.15):
-            when = "earlier" if best > 0 else "later"
+            direction = "earlier" if best > 0 else "later"
             detail = (
-                f"each pose belongs to the photograph {_count(abs(best))} {when}: with this shift "
-                f"{shifted[best]:.0%} of the matches agree, as stated {as_stated:.0%}"
+                f"each pose belongs to the photograph {_count(abs(best))} {direction}: with this "
+                f"shift {shifted[best]:.0%} of the matches agree, as stated {as_stated:.0%}"
             )
             finding = wrong(CHECK, "poses-shifted", detail, agreeing=as_stated, photographs=-best)
             return finding, np.roll(poses, -best, axis=0)
-    return _find_single(rays, poses, names, as_stated)
+    return _find_contradictions(rays, poses, names, as_stated)
 
 
 def _count(k: int) -> str:
     return "one" if k == 1 else str(k)
 
 
-def _find_single(
+def _find_contradictions(
     rays: Sequence[Rays], poses: Array, names: Sequence[str], as_stated: float
 ) -> tuple[Finding, Array | None] | None:
     """Find single photographs that contradict the others, and whether two are swapped."""
@@ -92,9 +92,9 @@ def _find_single(
         return wrong(CHECK, "names-shuffled", detail, agreeing=as_stated, ratio=ratio), None
     if len(bad) > len(agreement) / 2:
         return None
-    listed = ", ".join(names[row] for row in bad[:_NAMED])
+    first_names = ", ".join(names[row] for row in bad[:_NAMED])
     more = f" and {len(bad) - _NAMED} more" if len(bad) > _NAMED else ""
-    detail = f"the poses of {listed}{more} contradict those of the other photographs"
+    detail = f"the poses of {first_names}{more} contradict those of the other photographs"
     return wrong(CHECK, "poses-off", detail, agreeing=as_stated, photographs=len(bad)), poses
 
 
@@ -104,7 +104,7 @@ def agreement_by_photograph(rays: Sequence[Rays], poses: Array) -> dict[int, flo
     The share is the median over its pairs. A photograph in a single pair is left out.
     """
     by_row: dict[int, list[float]] = {}
-    for r, value in zip(rays, shares(rays, poses), strict=True):
+    for r, value in zip(rays, agreement_by_pair(rays, poses), strict=True):
         for row in (r.pair.first, r.pair.second):
             by_row.setdefault(row, []).append(float(value))
     return {row: float(np.median(values)) for row, values in by_row.items() if len(values) > 1}

@@ -97,8 +97,8 @@ class _PositionPairs:
     @property
     def extent(self) -> float:
         """Root mean square horizontal distance of the measured positions from their middle."""
-        off = self.measured[:, :2] - self.measured[:, :2].mean(0)
-        return float(np.sqrt((off**2).sum(1).mean()))
+        offsets = self.measured[:, :2] - self.measured[:, :2].mean(0)
+        return float(np.sqrt((offsets**2).sum(1).mean()))
 
 
 def check_positions(
@@ -366,7 +366,7 @@ def _check_offsets(pairs: _PositionPairs) -> Iterator[Finding]:
 
 
 def _height_offset(differences: Array, has_height: NDArray[np.bool_]) -> tuple[float, float, int]:
-    """Return by how much stated heights are above measured ones, their scatter and their number."""
+    """Return the median of stated minus measured heights, their scatter and their number."""
     if not has_height.any():
         return 0.0, 0.0, 0
     up = differences[has_height, 2]

@@ -21,7 +21,7 @@ class StatedData:
     """N photographs in the order of their names, with the stated cameras, poses and positions.
 
     Attributes:
-        subject: the data set, for people.
+        subject: name or path of the data set, for people.
         kind: its format, for people.
         names: names of the photographs, sorted.
         files: where the photographs should lie; None where no folder of photographs is known.

@@ -1,8 +1,8 @@
 """The command line ``objconnect``.
 
 Each group of commands is a module of this package, listed in ``benchmark.cli.commands``. A module
-is imported only when one of its commands is used, so that the help and mistyped commands answer at
-once.
+is imported only when one of its commands is used, so that the help and the error of a mistyped
+command are printed at once.
 """
 
 from __future__ import annotations

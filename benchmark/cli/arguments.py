@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _SECOND_SETTING: Final = re.compile(r"[\w./+-]+[\s,;]+[A-Za-z_][\w.]*=")
 
 
-def list_given(context: typer.Context) -> list[str]:
+def list_given_options(context: typer.Context) -> list[str]:
     """Return the options that the command line gives, as ``--size``, in the order of the help."""
     sources = {
         parameter.opts[0]: context.get_parameter_source(parameter.name or "")

@@ -28,8 +28,8 @@ from objconnect.scene.runtime.script import INPUT_AT_FAULT as INPUT_AT_FAULT
 REGRESSION: Final = 1
 PROGRAM_AT_FAULT: Final = 3
 # Shells report a process that a signal ended as 128 plus the number of the signal.
-_SIGNALLED: Final = 128
-_CLOSED_PIPE: Final = _SIGNALLED + 13  # SIGPIPE
+_SIGNAL_BASE: Final = 128
+_CLOSED_PIPE: Final = _SIGNAL_BASE + 13  # SIGPIPE
 
 # Exceptions of libraries on input that they cannot process, besides InputError.
 _INPUT_ERRORS: Final = (
@@ -100,7 +100,7 @@ def _run_command(run: Callable[[], Any]) -> int:
         return _print_error(str(error), INPUT_AT_FAULT)
     except _StoppedError as stopped:
         word = "interrupted" if stopped.number == signal.SIGINT else "terminated"
-        return _print_error(word, _SIGNALLED + stopped.number)
+        return _print_error(word, _SIGNAL_BASE + stopped.number)
     except (BrokenPipeError, SystemExit):  # typer ends the process when it meets a closed pipe
         return _abandon_output(_CLOSED_PIPE)
     except _INPUT_ERRORS as error:

@@ -24,7 +24,7 @@ def describe_choices(registry: Registry[Any]) -> str:
     return " ".join(f"{name}: {summary}." for name, summary in registry.summaries().items())
 
 
-def one_of(registry: Registry[Any]) -> Callable[[str | None], str | None]:
+def restrict_to(registry: Registry[Any]) -> Callable[[str | None], str | None]:
     """Return the callback of an option that accepts only the names of a registry.
 
     The callback raises ``typer.BadParameter`` for any other name; the message lists all names,

@@ -15,7 +15,7 @@ app = typer.Typer(rich_markup_mode=None)
 def doctor(as_json: Json = False) -> None:
     """Report what is installed, what is missing and how to install it.
 
-    Use it after installing, or when a command says that something is missing. Exits with 2 if a
+    Use it after installing, or if a command reports that something is missing. Exits with 2 if a
     requirement is not met. If this command itself cannot start, run python -m benchmark.doctor.
     """
     from benchmark.doctor import doctor as run

@@ -27,7 +27,7 @@ MapOrthophoto = Annotated[
     Path | None,
     typer.Option(
         metavar="MAP",
-        help="Orthophoto (GeoTIFF) of which a map is made. PHOTOS is then an orthophoto of another "
+        help="Orthophoto (GeoTIFF) to make the map from. PHOTOS is then an orthophoto of another "
         "date, from which queries with exact poses are drawn, and SCENE becomes a flight; see "
         "docs/pairs.md.",
     ),

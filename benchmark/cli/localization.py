@@ -53,7 +53,7 @@ app = typer.Typer(rich_markup_mode=None)
 ContainerImage = Annotated[
     str | None,
     typer.Option(
-        metavar="IMAGE", help="Image of Docker that finds the poses, instead of a method."
+        metavar="IMAGE", help="Docker image of a program that finds the poses, instead of a method."
     ),
 ]
 
@@ -176,7 +176,7 @@ def evaluate(
 
     With --container, a program in a container finds the poses. It reads /data and writes
     /output/poses.txt, without a network. --method is its name in the results, and --set takes its
-    limits memory_gb, cpus and minutes. An interrupted run starts again.
+    limits memory_gb, cpus and minutes. It starts again if interrupted.
     """
     from benchmark.containers.command import evaluate_container as run_image
     from benchmark.evaluation.evaluate import check_evaluation_outputs, results_path
@@ -287,7 +287,7 @@ def score(
     """Score the poses that another program estimated.
 
     A query without a line counts as failed. Nothing verifies the start: tables print it "as
-    declared". Replaces older results of the same name if score wrote them, and never those of
+    declared". Replaces older results of the same name if score wrote them, and never results of
     evaluate.
     """
     from benchmark.evaluation.external_poses import score as run

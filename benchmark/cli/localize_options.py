@@ -20,7 +20,7 @@ Subtitles = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="Subtitles of the video with the drone's telemetry. By default those of the same "
+        help="Subtitles of the video with the drone's telemetry. By default the file of the same "
         "name beside the video.",
     ),
 ]

@@ -20,7 +20,7 @@ Masks = Annotated[
         metavar="MASKS",
         help="Object masks of the map's photographs, for a scene without its own: a folder of "
         "label pictures, NAME.png for NAME.jpg, or a JSON file of COCO annotations with run-length "
-        "masks. By default diagnose takes the objects that the scene knows, and supplement "
+        "masks. By default diagnose takes the objects of the scene, and supplement "
         "searches whole photographs.",
     ),
 ]
@@ -206,7 +206,7 @@ def landmarks(
 ) -> None:
     """Find the objects in a map: cars, trees, roofs, lamps and the like.
 
-    The objects are learned and have no class. Each is seen in several photographs and has a
+    A network detects the objects; they have no class. Each is seen in several photographs and has a
     position, a size, a height above ground and a descriptor. Writes SCENE/landmarks.h5, which view
     draws. The localizer objconnect finds them by itself and does not need the file.
     """

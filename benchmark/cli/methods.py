@@ -31,9 +31,9 @@ def options(
     """
     from objconnect.methods import create
 
-    listed = list(_list_options(create(method, {}).config))
-    lines = [_describe(option) for option in listed] or [f"{method} has no options"]
-    emit(Summary("\n".join(lines), {"method": method, "options": listed}), as_json)
+    method_options = list(_list_options(create(method, {}).config))
+    lines = [_describe(option) for option in method_options] or [f"{method} has no options"]
+    emit(Summary("\n".join(lines), {"method": method, "options": method_options}), as_json)
 
 
 def _list_options(config: BaseModel, group: str = "") -> Iterator[dict[str, Any]]:
@@ -153,7 +153,7 @@ def publish_weights(
     """Write weights as a model for a hub, with a card and results.
 
     DIR holds the file of weights unchanged, the calibration files beside it, a model card, the
-    results and checksums. It appears when it is complete. --set weights=DIR uses it.
+    results and checksums. It appears when it is complete. --set weights=DIR uses the weights.
     """
     from benchmark.publishing.description import Release
     from benchmark.publishing.weights.command import publish_weights as run

@@ -19,8 +19,8 @@ Settings = Annotated[
         "--set",
         metavar="KEY=VALUE",
         help="Set one option of the method, of its training in train, or of the queries of --pair "
-        "in ingest; repeat for each option. 'objconnect options METHOD' lists those of a method, "
-        "docs/pairs.md those of --pair. Options of a sequence or a forecast "
+        "in ingest; repeat for each option. 'objconnect options METHOD' lists the options of a "
+        "method, docs/pairs.md those of --pair. Options of a sequence or a forecast "
         "are written sequence.KEY and forecast.KEY.",
     ),
 ]
@@ -58,7 +58,7 @@ Cache = Annotated[
     Path | None,
     typer.Option(
         metavar="DIR",
-        help="Folder for what a method computes once per map; later runs reuse it.",
+        help="Folder for data that a method computes once per map; later runs reuse them.",
     ),
 ]
 
@@ -83,11 +83,11 @@ Start = Annotated[
     str,
     typer.Option(
         metavar="START",
-        help="What the method is told about a query: prior (the pose that the data set gives), "
+        help="Information on each query for the method: prior (the pose that the data set gives), "
         "none, retrieval[=K] (the K most similar map photographs), pairs=FILE (a pair list of "
         "hloc), error=3m,5deg (the reference pose with an error of this size), gravity[=3deg] "
-        "(which way is down, without heading and position), or gps=50m (a position with an error "
-        "of this size, without attitude).",
+        "(the direction of gravity, without heading and position), or gps=50m (a position with an "
+        "error of this size, without attitude).",
     ),
 ]
 

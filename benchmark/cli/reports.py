@@ -111,8 +111,8 @@ def gate_scene(
     """
     from benchmark.gate.scene import gate_scene as run
 
-    written = str(run(out, name))
-    emit(Summary(written, {"dataset": written}), as_json)
+    dataset = str(run(out, name))
+    emit(Summary(dataset, {"dataset": dataset}), as_json)
 
 
 @app.command()

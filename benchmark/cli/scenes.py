@@ -9,9 +9,9 @@ from typing import Annotated, Final
 
 import typer
 
-from benchmark.cli.arguments import check_folders, list_given, parse_camera, parse_settings
+from benchmark.cli.arguments import check_folders, list_given_options, parse_camera, parse_settings
 from benchmark.cli.boundary import INPUT_AT_FAULT
-from benchmark.cli.choices import describe_choices, list_choices, one_of
+from benchmark.cli.choices import describe_choices, list_choices, restrict_to
 from benchmark.cli.ingest_options import (
     Homography,
     MapOrthophoto,
@@ -165,14 +165,14 @@ def ingest(
 ) -> None:
     """Turn a folder of photographs with GPS positions into a scene.
 
-    Writes SCENE with its map, the report ingest.json and a picture of the flight. The reference
-    poses come from structure from motion over all photographs, aligned to GPS, from --poses, or
-    from the map of the scene that --add names. Without --camera, focal lengths are read from
-    --poses, that scene or EXIF. An interrupted run goes on where it stopped.
+    Writes SCENE with its map, the report ingest.json and a picture of the flight. Structure from
+    motion over all photographs, aligned to GPS, gives the reference poses; with --poses they are
+    read from that file, with --add they are found in the map of OLD. Without --camera, focal
+    lengths are read from --poses, OLD or EXIF. An interrupted run goes on where it stopped.
 
     With --pair, SCENE becomes a flight of two orthophotos of different dates.
     """
-    _check_options(list_given(context), pair)
+    _check_options(list_given_options(context), pair)
     if pair is not None:
         from objconnect.mapping.pairs.command import ingest_pair
 
@@ -219,7 +219,7 @@ def export(
         typer.Option(
             "--format",
             metavar=list_choices(FORMATS),
-            callback=one_of(FORMATS),
+            callback=restrict_to(FORMATS),
             help=describe_choices(FORMATS),
         ),
     ],
@@ -356,9 +356,10 @@ def audit(
         Path,
         typer.Argument(
             metavar="DATA",
-            help="Scene, flight, or poses of another program: a COLMAP model, transforms.json of "
-            "nerfstudio, reconstruction.json of ODM, cameras.xml of Metashape, a TUM trajectory, a "
-            "table name,lat,lon,alt, or the folder of such a project.",
+            help="Scene, flight, Extended CMU Seasons, or poses of another program: a COLMAP "
+            "model, transforms.json of nerfstudio, reconstruction.json of ODM, cameras.xml of "
+            "Metashape, cameras.json of 3D Gaussian splatting, a TUM trajectory, a table "
+            "name,lat,lon,alt, or the folder of such a project.",
         ),
     ],
     images: Annotated[

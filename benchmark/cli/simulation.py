@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from benchmark.cli.arguments import check_jobs
-from benchmark.cli.choices import list_choices, one_of
+from benchmark.cli.choices import list_choices, restrict_to
 from benchmark.cli.options import ClusterAddress, Jobs, Json, options_of
 from benchmark.cli.output import Summary, emit
 from objconnect.scene.exports.formats import FORMATS
@@ -114,7 +114,7 @@ def simulate(
         typer.Option(
             "--export",
             metavar=list_choices(FORMATS),
-            callback=one_of(FORMATS),
+            callback=restrict_to(FORMATS),
             help="Also build the map and export the scene to the folder SCENE-FORMAT beside it.",
         ),
     ] = None,
@@ -122,7 +122,7 @@ def simulate(
 ) -> None:
     """Render a scene with exact camera poses.
 
-    An option that is left out has its value in the configuration file, or else its default. An
+    An option that is left out takes its value from the configuration file, or else its default. An
     interrupted run goes on where it stopped. Run map on the scene next.
     """
     from objconnect.mapping.build import build_map as build

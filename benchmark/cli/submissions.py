@@ -7,7 +7,7 @@ from typing import Annotated, Final
 
 import typer
 
-from benchmark.cli.arguments import check_folders, list_given, parse_settings
+from benchmark.cli.arguments import check_folders, list_given_options, parse_settings
 from benchmark.cli.boundary import INPUT_AT_FAULT
 from benchmark.cli.options import Cache, Jobs, Json, Method, Settings, Start
 from benchmark.cli.output import Summary, emit
@@ -67,7 +67,7 @@ def submit(
 ) -> None:
     """Write the poses of all queries, to hand them in.
 
-    The poses of a data set of a track are those of a submission. Those of Extended CMU Seasons have
+    The file of a data set of a track is part of a submission. The file of Extended CMU Seasons has
     the format of visuallocalization.net. The same command continues an interrupted run. A folder
     holds the poses of one method, start and choice of options; others need another --out.
 
@@ -84,7 +84,7 @@ def submit(
 
     check_folders([path], out, cache)
     localizer = create(method, parse_settings(overrides))
-    given = list_given(context)
+    given = list_given_options(context)
     # A dry run also reports on a download of Extended CMU Seasons that lacks almost everything.
     reader = reader_of(path) if dry_run else require_reader(path)
     if reader is not None and reader.name != "cmu":
@@ -118,7 +118,7 @@ def submission(
     ],
     board: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder of tracks; by default those of the project."),
+        typer.Option(metavar="DIR", help="Folder of tracks; by default the tracks of the project."),
     ] = None,
     as_json: Json = False,
 ) -> None:

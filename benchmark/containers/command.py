@@ -35,7 +35,7 @@ from objconnect.scene.storage.scratch import scratch
 POSES: Final = "poses.txt"
 """The file that a container writes into its folder ``/output``."""
 
-# Bytes of a pixel of a photograph that is written as PNG, at most.
+# Largest number of bytes per pixel of a photograph that is written as PNG.
 _PIXEL_BYTES: Final = 3
 
 
@@ -55,7 +55,7 @@ def evaluate_container(
         settings: limits of the container, values of ``Limits``.
         datasets: data sets to run on, one container for each.
         out: folder of the results.
-        start: what the method is told about each query besides its image.
+        start: information on each query that the method gets besides its image.
 
     Returns:
         The results files.
@@ -116,7 +116,7 @@ class Container:
         Args:
             dataset: data set to run on.
             out: folder of the results.
-            start: what the method is told about each query besides its image.
+            start: information on each query that the method gets besides its image.
 
         Returns:
             The results file.
@@ -145,7 +145,7 @@ class Container:
 
 
 def _read_poses(path: Path, dataset: Dataset) -> dict[str, Pose]:
-    """Read the poses that a container wrote, which may be any file."""
+    """Read the poses that a container wrote; the file may hold anything."""
     if not os.path.lexists(path):
         raise InputError(f"the container wrote no {POSES}: it must write /output/{POSES}")
     if path.is_symlink() or not path.is_file():

@@ -34,11 +34,11 @@ PHOTOGRAPHS: Final = "images"
 QUERIES: Final = "queries"
 """Folder of the photographs of the queries, ``NAME.png``."""
 CAMERAS: Final = "queries.txt"
-"""Lines ``NAME MODEL WIDTH HEIGHT PARAMS...``, as hloc has them."""
+"""Lines ``NAME MODEL WIDTH HEIGHT PARAMS...``, in the format of hloc."""
 PAIRS: Final = "pairs.txt"
 """Lines ``QUERY REFERENCE``, if the start gives reference images."""
 PRIORS: Final = "priors.json"
-"""The prior of each query by its name, if the start gives priors; see ``_prior``."""
+"""The prior of each query by its name, if the start gives priors; see ``_describe_prior``."""
 
 
 def write_data(task: Task, start: Start, folder: Path) -> None:
@@ -70,7 +70,7 @@ def write_data(task: Task, start: Start, folder: Path) -> None:
             _write_picture(folder / QUERIES, query.name, loaded.image)
             cameras.append(f"{quote_name(query.name)} {query.camera}")
             if loaded.prior is not None:
-                priors[query.name] = _prior(loaded.prior)
+                priors[query.name] = _describe_prior(loaded.prior)
             for reference in loaded.references or ():
                 pairs.append(f"{quote_name(query.name)} {quote_name(reference)}")
             advance(number)
@@ -98,7 +98,7 @@ def _write_picture(folder: Path, name: str, rgb: NDArray[np.uint8]) -> None:
     Image.fromarray(rgb).save(path, "PNG", compress_level=1)
 
 
-def _prior(prior: Prior) -> dict[str, Any]:
+def _describe_prior(prior: Prior) -> dict[str, Any]:
     """Return a prior as JSON; what is unknown is null.
 
     ``position`` and ``position_sigma`` are metres in the map's frame, ``cam_from_world`` is a

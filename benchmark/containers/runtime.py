@@ -32,7 +32,7 @@ _KILLED: Final = 137
 _TAIL_BYTES: Final = 4096
 _REASON_CHARACTERS: Final = 300
 # Timeout of the commands that inspect an image or kill a container, seconds.
-_PATIENCE_S: Final = 60.0
+_TIMEOUT_S: Final = 60.0
 # Most processes and threads in a container.
 _MOST_PROCESSES: Final = 4096
 
@@ -68,7 +68,7 @@ def image_digest(image: str) -> str:
     command = [_DOCKER, "image", "inspect", "--format", "{{.Id}}", image]
     try:
         answer = subprocess.run(
-            command, check=False, capture_output=True, timeout=_PATIENCE_S, stdin=subprocess.DEVNULL
+            command, check=False, capture_output=True, timeout=_TIMEOUT_S, stdin=subprocess.DEVNULL
         )
     except FileNotFoundError:
         raise InputError(
@@ -78,7 +78,7 @@ def image_digest(image: str) -> str:
     except OSError as error:
         raise InputError(f"the command docker cannot be run: {error.strerror}") from None
     except subprocess.TimeoutExpired:
-        raise InputError(f"docker did not answer in {_PATIENCE_S:g} s: restart it") from None
+        raise InputError(f"docker did not answer in {_TIMEOUT_S:g} s: restart it") from None
     if answer.returncode:
         raise InputError(
             f"docker cannot use the image {image} ({_reason(answer.stderr)}): start its daemon, "
@@ -122,7 +122,7 @@ def run_container(digest: str, data: Path, output: Path, limits: Limits) -> None
         raise InputError(f"docker could not start the container: {reason}")
     if code == _KILLED:
         raise InputError(
-            f"the container was killed, as it is when it needs more than {limits.memory_gb:g} GB: "
+            f"the container was killed, as happens if it needs more than {limits.memory_gb:g} GB: "
             "allow more with --set memory_gb=NUMBER"
         )
     if code:
@@ -145,7 +145,7 @@ def docker_command(name: str, digest: str, data: Path, output: Path, limits: Lim
 
 
 def _mount(source: Path, target: str, *others: str) -> str:
-    """Return the words of a mount, a line of CSV, in which paths may contain commas."""
+    """Return the value of ``--mount``: a line of CSV, in which a quoted path may hold commas."""
     quoted = str(source.resolve()).replace('"', '""')
     return ",".join(["type=bind", f'"source={quoted}"', f"target={target}", *others])
 
@@ -154,7 +154,7 @@ def _stop(name: str, process: subprocess.Popen[bytes]) -> None:
     """Kill a container, and the client that waits for it."""
     with suppress(OSError, subprocess.TimeoutExpired):
         subprocess.run(
-            [_DOCKER, "kill", name], check=False, capture_output=True, timeout=_PATIENCE_S
+            [_DOCKER, "kill", name], check=False, capture_output=True, timeout=_TIMEOUT_S
         )
     process.kill()
 
@@ -174,7 +174,7 @@ class _Tail:
 
     def content(self) -> bytes:
         """Wait for the end of the stream and return its last bytes."""
-        self._thread.join(_PATIENCE_S)
+        self._thread.join(_TIMEOUT_S)
         return self._content
 
 

@@ -57,16 +57,16 @@ def is_cmu(path: Path) -> bool:
 
 
 def root_of(path: Path) -> Path:
-    """Return the folder of the data set that a path is, or that the slice at a path is in."""
+    """Return the folder of the data set at a path, which may also be one of its slices."""
     root = path.resolve()
     return root.parent if _SLICE.fullmatch(root.name) else root
 
 
 def open_cmu(path: Path) -> list[Dataset]:
-    """Open every slice that carries public query poses, or one slice.
+    """Open every slice that has public query poses, or one slice.
 
     Raises:
-        InputError: a file is missing or wrong, a name is not one of this data set, or no slice has
+        InputError: a file is missing or wrong, an image name has another form, or no slice has
             a public query pose.
     """
     folders, cameras = _find_slices(path)
@@ -133,7 +133,7 @@ def open_slices(path: Path) -> list[Slice]:
     """Find every slice with query images, or open the one slice that a path names.
 
     Raises:
-        InputError: the path is not this data set, an image's name is not one of it, or there is no
+        InputError: the path is not this data set, an image name has another form, or there is no
             query image.
     """
     if not is_cmu(path):
@@ -197,14 +197,14 @@ def condition(name: str) -> str:
     """Return day and weather of an image from the timestamp in its name.
 
     Raises:
-        InputError: the name is not one of this data set.
+        InputError: the name does not have the form of this data set.
     """
     day = ImageName.parse(name).day.isoformat()
     return f"{day} {_DAYS[day]}" if day in _DAYS else day
 
 
 def slice_folders(path: Path) -> list[Path]:
-    """Return the folders of all slices, sorted by number, or of the one slice that a path is."""
+    """Return the folders of all slices, sorted by number; the path itself if it is a slice."""
     root = path.resolve()
     if _SLICE.fullmatch(root.name):
         return [root]
@@ -232,7 +232,7 @@ def read_references(poses: Path) -> dict[str, Pose]:
 
 
 def _open_slice(folder: Path, cameras: dict[str, Camera]) -> Dataset | None:
-    """Open one slice, or return None when none of its query poses is public."""
+    """Open one slice, or return None if none of its query poses is public."""
     pose_folder = folder / "camera-poses"
     references = read_references(pose_folder)
     if not references:

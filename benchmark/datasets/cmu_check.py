@@ -28,7 +28,7 @@ DOWNLOAD: Final = (
 """Folder of the files, to which visuallocalization.net links."""
 
 # The slices that hloc and PixLoc localize for visuallocalization.net.
-_SUBMITTED: Final = (*range(2, 7), *range(13, 22))
+_SUBMITTED_SLICES: Final = (*range(2, 7), *range(13, 22))
 
 
 def check_files(path: Path) -> Iterator[Check]:
@@ -95,7 +95,7 @@ def _check_slices(root: Path, folders: list[Path], archives: list[Path]) -> Iter
     for archive in packed:
         yield Check(archive.name, False, f"not unpacked: run tar -xf {archive.name} in {root}")
     present |= {archive.stem for archive in packed}
-    absent = [f"slice{n}" for n in _SUBMITTED if f"slice{n}" not in present]
+    absent = [f"slice{n}" for n in _SUBMITTED_SLICES if f"slice{n}" not in present]
     if absent and not (folders and _is_simulated(root)):
         yield Check(
             "slices",
@@ -127,13 +127,13 @@ def _check_slice(folder: Path) -> Iterator[Check]:
 
 def _check_lists(folder: Path, photographs: Iterable[str]) -> Iterator[Check]:
     """Yield failed checks if the lists of a slice are missing, or name missing photographs."""
-    listed: set[str] = set()
-    for part, read in (("camera-poses", _list_posed), ("test list", read_test_list)):
+    listed_names: set[str] = set()
+    for part, read in (("camera-poses", _list_public_poses), ("test list", read_test_list)):
         try:
-            listed |= read(folder)
+            listed_names |= read(folder)
         except InputError as error:
             yield _fault(folder, part, f"{error}; {_unpack(folder)}")
-    missing = sorted(listed.difference(photographs))
+    missing = sorted(listed_names.difference(photographs))
     if missing:
         yield _fault(
             folder,
@@ -145,16 +145,16 @@ def _check_lists(folder: Path, photographs: Iterable[str]) -> Iterator[Check]:
 
 def _describe_slice(folder: Path) -> Check:
     """Return the passed check of a complete slice."""
-    mapped, queries = len(read_model(folder / "sparse").names), len(list_queries(folder))
-    public = len(_list_posed(folder))
+    map_photographs, queries = len(read_model(folder / "sparse").names), len(list_queries(folder))
+    public = len(_list_public_poses(folder))
     return Check(
         folder.name,
         True,
-        f"{mapped} map photographs, {queries} query images, {public} public query poses",
+        f"{map_photographs} map photographs, {queries} query images, {public} public query poses",
     )
 
 
-def _list_posed(folder: Path) -> set[str]:
+def _list_public_poses(folder: Path) -> set[str]:
     """Return the names of the photographs of a slice with a public pose."""
     poses = folder / "camera-poses"
     if not poses.is_dir():

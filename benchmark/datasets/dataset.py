@@ -25,7 +25,7 @@ from objconnect.scene.storage.digests import sha256
 from objconnect.scene.storage.images import read_rgb
 from objconnect.scene.storage.names import is_utf8
 
-if TYPE_CHECKING:  # it loads torch
+if TYPE_CHECKING:  # pose.py loads torch
     from objconnect.scene.geometry.pose import Pose
 
 
@@ -37,7 +37,7 @@ class TaskQuery:
         name: unique within the data set.
         condition: season and light, or another property that divides the data set.
         group: flight or drive that the query belongs to; errors within one are correlated.
-        camera: calibrated.
+        camera: calibrated camera of the photograph.
         image: file of the photograph.
         prior: starting information, or None where the data set has none for this query.
     """
@@ -54,7 +54,7 @@ class TaskQuery:
 
         Args:
             prior: starting information that the localizer is given.
-            references: map photographs that the localizer is told to use.
+            references: map photographs that the localizer has to use.
 
         Raises:
             InputError: the photograph is missing, damaged, or not of the camera's size.
@@ -87,7 +87,7 @@ class Task:
         name: name of the data set and of the folder of its results.
         track: what the data set can show: "uav-sim" (changed season and light), "flight"
             (photographs of one flight) or "cmu" (photographs from a car through a year; "cmu-sim"
-            when they are simulated).
+            if they are simulated).
         parts: digests of everything the data set is made of, by descriptive names (see
             ``benchmark.datasets.identity``).
         map_conditions: conditions under which the map's photographs were taken.
@@ -127,8 +127,8 @@ class Dataset(Task):
     """A map, and queries with reference poses.
 
     Attributes:
-        unjudged: thresholds, as ``0.25 m 2°``, and ``1 m`` for the bound of wrong answers, that the
-            reference poses are too inexact to judge.
+        unjudged: thresholds for which the reference poses are too inexact, such as ``0.25 m 2°``;
+            ``1 m`` is the bound of wrong answers.
     """
 
     queries: tuple[BenchmarkQuery, ...]

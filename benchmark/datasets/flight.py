@@ -32,11 +32,11 @@ from objconnect.scene.maps.sparse_map import SparseMap
 TRACK: Final = "flight"
 SPARSE_SUFFIX: Final = "-sparse"
 
-# Condition of all photographs of a flight without a table of conditions: map and queries count as
-# photographs of one flight, under the same season and light.
+# Condition of all photographs of a flight without a table of conditions: map and queries are then
+# taken as photographs of one flight, under the same season and light.
 _DEFAULT_CONDITION: Final = "same-flight"
 
-# Fewer residuals than this do not tell how accurate the GPS is.
+# With fewer residuals than this, the accuracy of the GPS is unknown.
 _MIN_FIXES = 3
 # A sigma of zero would make a prior that no measurement can move.
 _MIN_SIGMA_M = 0.01
@@ -136,7 +136,7 @@ def _open_split(path: Path, name: str, model: Path, ending: str) -> Dataset:
         raise InputError(
             f"{query_list}: query {query} is a photograph of the map {model}: remove the query"
         )
-    priors = _priors(path, sparse_map, {*cameras, *sparse_map.images})
+    priors = _read_priors(path, sparse_map, {*cameras, *sparse_map.images})
     conditions = photograph_conditions(path, sparse_map.images.keys(), cameras.keys())
     queries = tuple(
         BenchmarkQuery(
@@ -154,7 +154,7 @@ def _open_split(path: Path, name: str, model: Path, ending: str) -> Dataset:
         name=name,
         track=TRACK,
         parts=parts_of(model, images, sparse_map.names, queries),
-        map_conditions=tuple(dict.fromkeys(conditions[mapped] for mapped in sparse_map.names)),
+        map_conditions=tuple(dict.fromkeys(conditions[image] for image in sparse_map.names)),
         model=model,
         load_map=lambda: sparse_map,
         images=images,
@@ -169,18 +169,18 @@ def _list_unjudged(path: Path) -> tuple[str, ...]:
     return () if error is None else list_unjudged(error)
 
 
-def photograph_conditions(path: Path, mapped: Set[str], queries: Set[str]) -> dict[str, str]:
+def photograph_conditions(path: Path, map_names: Set[str], queries: Set[str]) -> dict[str, str]:
     """Return the condition of each photograph of the map and of each query.
 
     Args:
         path: folder of the flight.
-        mapped: names of the map's photographs.
+        map_names: names of the map's photographs.
         queries: names of the queries.
 
     Raises:
         InputError: the table of conditions is wrong, or lacks one of them.
     """
-    photographs, table = sorted({*mapped, *queries}), path / "conditions.csv"
+    photographs, table = sorted({*map_names, *queries}), path / "conditions.csv"
     if not os.path.lexists(table):
         return dict.fromkeys(photographs, _DEFAULT_CONDITION)
     conditions = read_conditions(table)
@@ -191,7 +191,7 @@ def photograph_conditions(path: Path, mapped: Set[str], queries: Set[str]) -> di
     return conditions
 
 
-def _priors(path: Path, sparse_map: SparseMap, photographs: Set[str]) -> dict[str, Prior]:
+def _read_priors(path: Path, sparse_map: SparseMap, photographs: Set[str]) -> dict[str, Prior]:
     """Return the prior of each photograph that has one."""
     # lexists is true of a broken link, which is then an error instead of a missing file.
     if os.path.lexists(path / "priors.csv"):
@@ -228,7 +228,7 @@ def gps_sigma(
         sparse_map: the map.
 
     Returns:
-        (3,) root mean square difference per axis E, N, U in metres, or None when fewer than three
+        (3,) root mean square difference per axis E, N, U in metres, or None if fewer than three
         photographs of the map have a GPS row.
     """
     residuals = [

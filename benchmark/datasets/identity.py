@@ -70,7 +70,7 @@ def _parts_of_query(query: TaskQuery, photograph: str) -> dict[str, str]:
 
 
 def describe_changes(before: Mapping[str, str], after: Mapping[str, str]) -> str:
-    """Describe in words which parts differ; the text is empty when none does."""
+    """Describe in words which parts differ; the text is empty if none does."""
     parts = dict.fromkeys([*before, *after])
     differing = [part for part in parts if before.get(part) != after.get(part)]
     if not differing and list(before) != list(after):
@@ -88,8 +88,8 @@ def require_unchanged(dataset: Task, map_names: Iterable[str]) -> None:
     Raises:
         InputError: the data set has changed, or ``parts_of`` raises it.
     """
-    now = parts_of(dataset.model, dataset.images, map_names, dataset.queries)
-    if changed := describe_changes(dataset.parts, now):
+    current = parts_of(dataset.model, dataset.images, map_names, dataset.queries)
+    if changed := describe_changes(dataset.parts, current):
         raise InputError(
             f"the data set {dataset.name} was changed during the run: {changed}; run again"
         )

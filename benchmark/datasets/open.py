@@ -37,7 +37,7 @@ class Reader(Protocol):
         ...
 
 
-# Readers are asked in this order. A slice of Extended CMU Seasons has a folder "sparse", as a
+# Readers are tried in this order. A slice of Extended CMU Seasons has a folder "sparse", as a
 # flight has, so that flights come after it.
 READERS: Final[Registry[Reader]] = Registry(
     "reader",
@@ -54,18 +54,19 @@ READERS: Final[Registry[Reader]] = Registry(
 
 
 def open_datasets(path: Path) -> list[Dataset]:
-    """Open the data sets of a path with the first reader that knows it.
+    """Open the data sets of a path with the first reader that supports it.
 
     A scene is one data set, and a published folder or ``hf://OWNER/NAME@COMMIT`` one for each of
     its scenes. A flight is one, or two with its hard split, whose name ends in
     ``-sparse``; a path with that ending opens the hard split alone. Extended CMU Seasons is one
-    data set for each slice with public query poses; the folder of a slice opens it alone.
+    data set for each slice with public query poses; the folder of a slice opens that slice alone.
+    AerialExtreMatch-Localization is one data set for each quality that has a map.
 
     A package adds a reader by an entry point of the group ``objconnect.datasets``: an object with
     the attributes of ``Reader``.
 
     Raises:
-        InputError: the path does not exist, no reader knows it, or anything inside it is wrong.
+        InputError: the path does not exist, no reader supports it, or anything inside it is wrong.
     """
     reader = require_reader(path)
     with READERS.blame(reader.name, f"cannot read {path}"):
@@ -73,10 +74,10 @@ def open_datasets(path: Path) -> list[Dataset]:
 
 
 def require_reader(path: Path) -> Reader:
-    """Return the first reader that knows a path.
+    """Return the first reader that supports a path.
 
     Raises:
-        InputError: the path does not exist, or no reader knows it.
+        InputError: the path does not exist, or no reader supports it.
     """
     reader = reader_of(path)
     if reader is not None:
@@ -88,7 +89,7 @@ def require_reader(path: Path) -> Reader:
 
 
 def reader_of(path: Path) -> Reader | None:
-    """Return the first reader that knows a path; None if there is none."""
+    """Return the first reader that supports a path; None if there is none."""
     for name in READERS:
         reader = READERS.load(name)
         with READERS.blame(name, f"cannot read {path}"):

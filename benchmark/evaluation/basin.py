@@ -78,7 +78,7 @@ class Level(Record):
     Attributes:
         prior_t_m: distance of the prior's position from the camera centre, metres.
         prior_r_deg: angle between the attitudes of the prior and the camera, degrees.
-        queries: number of queries; all of them count in the recall.
+        queries: number of all queries, the denominator of the recall.
         failed: number of queries without a pose.
         fallback: number of queries whose pose is only the prior's; they count as wrong.
         correct: number of correct queries by the key of a threshold, such as "0.25m_2deg".
@@ -191,7 +191,7 @@ def basin(
         out: folder of the results.
         sizes: sizes of the error.
         seed: random seed of the error directions.
-        cache: folder for what the method keeps per map; None for a scratch folder in ``out``.
+        cache: folder for data that the method keeps per map; None for a scratch folder in ``out``.
 
     Returns:
         The basin that was written.
@@ -253,8 +253,8 @@ def _count_level(size: Size, answers: Sequence[QueryResult]) -> Level:
         fallback=sum(answer.status is Status.FALLBACK for answer in answers),
         correct=_count_correct(answers),
         by_course={
-            course: CourseCounts(queries=len(flown), correct=_count_correct(flown))
-            for course, flown in _group_by_course(answers).items()
+            course: CourseCounts(queries=len(group), correct=_count_correct(group))
+            for course, group in _group_by_course(answers).items()
         },
     )
 

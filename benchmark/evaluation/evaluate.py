@@ -53,8 +53,8 @@ def evaluate(
         dataset: data set to run on.
         localizer: method to run.
         out: folder of the results.
-        start: what the method is told about each query besides its image.
-        cache: folder for what the method keeps per map; None for a scratch folder in ``out``.
+        start: information on each query that the method gets besides its image.
+        cache: folder for data that the method keeps per map; None for a scratch folder in ``out``.
         jobs: number of queries at a time, in threads. Seconds per query are measured with this many
             at work.
         cluster: address of a cluster whose cores localize the queries instead; see
@@ -67,14 +67,15 @@ def evaluate(
 
     Raises:
         InputError: the map or a photograph is missing, damaged or changed during the run, ``out``
-            cannot be written, or there is no such cluster.
+            cannot be written, a file of another command would be replaced, or there is no such
+            cluster.
     """
     require_folder(out)
     start = available_start(start, dataset)
     method = Method.of(localizer)
     target = results_path(out, dataset, localizer)
     check_evaluation_outputs(dataset, localizer, out)
-    earlier = _read_replaced(target, DatasetId.of(dataset), method, start)
+    earlier = _read_earlier_results(target, DatasetId.of(dataset), method, start)
     # The nodes of a cluster need not see ``out``, so they make scratch folders of their own.
     run = Run(dataset, localizer, start, cache, None if cluster else out)
     key = _journal_key(method, dataset, start)
@@ -106,7 +107,7 @@ def evaluate(
     return results
 
 
-def _read_replaced(
+def _read_earlier_results(
     target: Path, dataset: DatasetId, method: Method, start: Start
 ) -> Results | None:
     """Return the results that a run will replace, or None.

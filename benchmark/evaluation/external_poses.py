@@ -36,15 +36,16 @@ def score(
         datasets: data sets whose queries the file may contain.
         method: name of the method, which names the results files.
         out: folder of the results.
-        start: what the method was told, see ``starts.parse_start``. Nothing verifies it,
+        start: information that the method had, see ``starts.parse_start``. Nothing verifies it,
             and tables print it "as declared".
 
     Returns:
         The results files that were written: one for each data set with a query in the file.
 
     Raises:
-        InputError: the file cannot be read, a pose belongs to no query, a query has two poses, the
-            method cannot name a file, or results there are from another command.
+        InputError: the file cannot be read or has no pose, a pose belongs to no query, a query has
+            two poses, the start is unknown, the method cannot name a file, or results there are
+            from another command.
     """
     require_method_name(method)
     starting_information = parse_start(start)
@@ -106,7 +107,7 @@ def score_poses(
         dataset: data set of the queries.
         poses: cam_from_world by name of the query.
         sparse_map: its map.
-        start: what the program was told about each query besides its image.
+        start: information on each query that the program had besides its image.
         missing: reason why a query without a pose failed.
     """
     queries = []

@@ -1,4 +1,4 @@
-"""Files of the poses that a method finds, one for each data set, which resume and never mix runs.
+"""Write the poses that a method finds, one file for each data set, and resume interrupted runs.
 
 Their lines are hloc's, ``name qw qx qy qz tx ty tz`` (world to camera, metres). The first line is a
 comment that states the run. Reference poses are not needed.
@@ -51,12 +51,13 @@ class _Answer(NamedRecord):
 
 @dataclass(frozen=True)
 class PoseWriter:
-    """Writes the poses that a method finds. Only those of status ok, because others count as wrong.
+    """Writes the poses with status ok that a method finds; other answers count as wrong.
 
     Attributes:
         localizer: method to run.
-        decimals: of quaternion and translation (metres).
-        cache: folder for what the method keeps per map; None for a scratch folder beside the file.
+        decimals: number of decimals of quaternions and translations (metres).
+        cache: folder for data that the method keeps per map; None for a scratch folder beside the
+            file.
         jobs: number of queries at a time, in threads.
     """
 
@@ -84,13 +85,13 @@ class PoseWriter:
         """Localize every query of a data set, write the file, and return its lines of poses.
 
         A finished file of the same run is kept. A journal keeps the finished queries of an
-        unfinished one, so that an interrupted run goes on where it stopped. Where the data set has
-        changed since, it starts again.
+        unfinished run, so that an interrupted run goes on where it stopped. If the data set has
+        changed since, the run starts again.
 
         Args:
             task: data set.
             path: file of poses.
-            start: what the method is told about each query besides its image.
+            start: information on each query that the method gets besides its image.
 
         Raises:
             InputError: a file of the data set is missing, damaged or changed during the run, the

@@ -17,8 +17,8 @@ Pairs = Mapping[str, tuple[str, ...]]
 def read_slice_pairs(path: Path, map_names: Mapping[Slice, Collection[str]]) -> Pairs:
     """Read the pairs of the query images of some slices.
 
-    Every image in the list of test images of a slice needs a pair, and where there is no such list,
-    every query image. The lists of hloc leave out the other query images.
+    Every image in a slice's list of test images needs a pair; without such a list, every query
+    image needs one. The lists of hloc leave out the other query images.
 
     Args:
         path: pair list with lines ``query reference``.
@@ -36,7 +36,7 @@ def read_slice_pairs(path: Path, map_names: Mapping[Slice, Collection[str]]) -> 
 def describe_faults(
     path: Path, pairs: Pairs, map_names: Mapping[Slice, Collection[str]]
 ) -> Iterator[str]:
-    """Yield a sentence about each kind of name in a pair list that does not fit the slices.
+    """Yield a sentence about unknown query images, missing lines and unknown map photographs.
 
     Args:
         path: pair list, for messages.

@@ -1,4 +1,4 @@
-"""Starting information: what a method is told about a query besides its image.
+"""Starting information: what a method gets with a query besides its image.
 
 Results record it, and methods are compared only with the same starting information.
 """
@@ -59,7 +59,7 @@ class Start:
             gives the position alone, wrong by exactly ``metres``.
         top: number of map photographs of "retrieval".
         metres: position error of "error" and "gps".
-        degrees: attitude error of "error", and of the tilt of "gravity".
+        degrees: attitude error of "error", and tilt error of "gravity".
         pairs: names of map photographs by the name of the query, for "pairs".
     """
 

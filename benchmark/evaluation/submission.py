@@ -48,7 +48,7 @@ def submit(
         out: folder of the submission.
         pairs: pair list of hloc, with map photographs for every test image. Query images without a
             pair, which are not test images, are left out. None leaves retrieval to the method.
-        cache: folder for what the method keeps per map; None for a scratch folder in ``out``.
+        cache: folder for data that the method keeps per map; None for a scratch folder in ``out``.
         jobs: number of images at a time, in threads.
 
     Returns:
@@ -63,12 +63,12 @@ def submit(
     finished = _check_outputs(out, path, slices)
     _require_unique_names(slices)
     map_names = {each: _map_names(each) for each in slices}
-    listed = None
+    pairs_by_query = None
     if pairs is not None:
-        listed = read_slice_pairs(pairs, map_names)
-        slices = [each.restrict(listed) for each in slices]
+        pairs_by_query = read_slice_pairs(pairs, map_names)
+        slices = [each.restrict(pairs_by_query) for each in slices]
     writer = PoseWriter(localizer, _DECIMALS, cache, jobs)
-    starts = [_start_of(each, listed) for each in slices]
+    starts = [_start_of(each, pairs_by_query) for each in slices]
     for file, start in zip(finished, starts, strict=True):
         writer.require_same_run(file, start)
     lines: list[str] = []
@@ -105,15 +105,15 @@ def _check_pairs(path: Path, pairs: Path, faults: Sequence[str]) -> list[Check]:
     if unread or not is_cmu(path):
         return [Check("pairs", False, f"not checked: mend {', '.join(unread or faults)} first")]
     try:
-        listed = read_pairs(pairs)
+        pairs_by_query = read_pairs(pairs)
         map_names = {each: _map_names(each) for each in open_slices(path)}
-        sentences = list(describe_faults(pairs, listed, map_names))
+        sentences = list(describe_faults(pairs, pairs_by_query, map_names))
     except InputError as error:
         sentences = [str(error)]
     if sentences:
         return [Check("pairs", False, sentence) for sentence in sentences]
-    total = sum(len(references) for references in listed.values())
-    return [Check("pairs", True, f"{total} pairs of {len(listed)} query images")]
+    total = sum(len(references) for references in pairs_by_query.values())
+    return [Check("pairs", True, f"{total} pairs of {len(pairs_by_query)} query images")]
 
 
 def _check_outputs(out: Path, path: Path, slices: Sequence[Slice]) -> list[Path]:
@@ -129,7 +129,7 @@ def _check_outputs(out: Path, path: Path, slices: Sequence[Slice]) -> list[Path]
     )
     started = any(file.is_file() for file in finished)
     if (out / SUBMISSION).exists() and not started:
-        # A submission holds only poses, so nothing in it tells which program wrote it.
+        # A submission holds only poses, so that its content does not show which program wrote it.
         raise WriteError(
             f"cannot write {out / SUBMISSION}: it exists without the slices of an earlier run, so "
             "another program may have written it: choose another --out"
@@ -163,7 +163,7 @@ def _map_names(each: Slice) -> frozenset[str]:
 
 
 def _start_of(each: Slice, pairs: Pairs | None) -> Start:
-    """Return the start of the query images of a slice, which no other slice's pairs change."""
+    """Return the start of a slice, which depends on the pairs of its own query images alone."""
     if pairs is None:
         return NONE
     own = {name: pairs[name] for name in each.queries}

@@ -30,7 +30,7 @@ _CENTRE: Final = np.array([0.0, 0.0, 3.0, 5.0])
 # Strength of the ridge penalty on the difference from ``_PRIOR_WEIGHTS``.
 _RIDGE: Final = np.array([0.3, 3.0, 3.0, 3.0])
 _ITERATIONS: Final = 50  # number of Newton steps
-_PSEUDO_COUNT: Final = 0.5  # added to the number of views with a fix and to that of the others
+_PSEUDO_COUNT: Final = 0.5  # added to the numbers of views with and without a fix
 # The risk of a false fix is computed as if there were this many more views, of which a share of
 # ``Calibration.false_share`` were false fixes.
 _USUAL_VIEWS: Final = 6.0
@@ -113,7 +113,7 @@ def pool(results: Sequence[ViewResult], centres: Array) -> Evidence:
     fix = np.array([view.fix for view in results], float)
 
     def mean(values: Array, counts: Array) -> Array:
-        """Return the weighted mean over the views that count (1, not 0), at each waypoint."""
+        """Return, at each waypoint, the weighted mean over the views with a count of 1."""
         total = weight @ counts
         return np.divide(
             weight @ np.where(counts > 0, counts * values, 0.0),
@@ -169,9 +169,9 @@ def fit(rows: Array, is_fix: NDArray[np.bool_]) -> tuple[float, float, float, fl
     truth = is_fix.astype(float)
     for _ in range(_ITERATIONS):
         p = _sigmoid(rows @ weights)
-        slope = rows.T @ (p - truth) + _RIDGE * (weights - _PRIOR_WEIGHTS)
-        curve = (rows * (p * (1 - p))[:, None]).T @ rows + np.diag(_RIDGE)
-        step = np.linalg.solve(curve, slope)
+        gradient = rows.T @ (p - truth) + _RIDGE * (weights - _PRIOR_WEIGHTS)
+        hessian = (rows * (p * (1 - p))[:, None]).T @ rows + np.diag(_RIDGE)
+        step = np.linalg.solve(hessian, gradient)
         weights = weights - step / max(1.0, float(np.abs(step).max()))
     a, b, c, d = (round(float(value), 4) for value in weights)
     return a, b, c, d

@@ -59,12 +59,12 @@ def forecast(
 
     Args:
         scene: scene with its map; without ``twin`` the map's photographs need depth maps.
-        flight: "plan=FILE" (a plan of QGroundControl), or a flight of ``simulate``, as "nadir".
+        flight: "plan=FILE" (a plan of QGroundControl), or a flight of ``simulate`` such as "nadir".
         localizer: method to run.
         out: folder of the forecast.
         config: options.
         twin: finished twin of the site; None builds one from the scene.
-        cache: folder for what the method keeps per map; None for a scratch folder.
+        cache: folder for data that the method keeps per map; None for a scratch folder.
         jobs: number of rendering processes.
 
     Raises:

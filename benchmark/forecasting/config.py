@@ -13,7 +13,7 @@ from objconnect.scene.storage.records import Record
 from simulate.look.conditions import condition
 
 SEASONS = ("summer-noon", "winter-noon", "snow-dusk")
-"""The conditions that are forecast when none are named."""
+"""The conditions that are forecast if none are named."""
 
 
 class ForecastConfig(Config):
@@ -40,7 +40,7 @@ class ForecastConfig(Config):
         "and of the snow.",
     )
     start: str = Field(
-        "prior", description="What the method is told about a view, as for ``evaluate``."
+        "prior", description="Information on each view for the method, as for ``evaluate``."
     )
     fix_m: float = Field(0.5, gt=0, description="Largest position error of a fix, metres.")
     fix_deg: float = Field(5.0, gt=0, description="Largest rotation error of a fix, degrees.")

@@ -80,7 +80,7 @@ class Observation(NamedRecord):
 
 
 def start_of(text: str) -> Start:
-    """Read what the method is told about a view.
+    """Read the starting information on a view.
 
     Raises:
         InputError: there is no such start, or it is a pair list, which cannot name the views.

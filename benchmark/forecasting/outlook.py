@@ -60,7 +60,7 @@ def waypoints_of(
     """
     evidence = evidence_by_season(observations, centres, config)
     steps = np.linalg.norm(np.diff(centres, axis=0), axis=1)
-    along = np.concatenate([[0.0], np.cumsum(steps)])
+    along_m = np.concatenate([[0.0], np.cumsum(steps)])
     by_waypoint: dict[int, list[Observation]] = {k: [] for k in range(len(centres))}
     for observation in observations:
         by_waypoint[observation.waypoint].append(observation)
@@ -89,7 +89,7 @@ def waypoints_of(
                 longitude=round(position.longitude, 8),
                 latitude=round(position.latitude, 8),
                 altitude_m=round(position.altitude, 3),
-                along_m=round(float(along[k]), 2),
+                along_m=round(float(along_m[k]), 2),
                 points=round(points[k], 1),
                 seasons=seasons,
             )
@@ -123,8 +123,8 @@ def _season(waypoints: Sequence[Waypoint], name: str, config: ForecastConfig) ->
 
 def _longest_leg(waypoints: Sequence[Waypoint]) -> float:
     """Return the longest distance between successive waypoints, metres."""
-    along = [waypoint.along_m for waypoint in waypoints]
-    return max((b - a for a, b in pairwise(along)), default=0.0)
+    along_m = [waypoint.along_m for waypoint in waypoints]
+    return max((b - a for a, b in pairwise(along_m)), default=0.0)
 
 
 def _median(values: Iterable[float | None]) -> float | None:

@@ -28,7 +28,7 @@ _SIDE, _DPI = 5.0, 110  # side of a panel, inches, and resolution
 _MOST_PIXELS = 900  # largest side of the orthophoto, pixels
 _BRIGHTNESS = 1.25  # factor on the albedo, which is darker than a photograph
 _MOST_NUMBERED = 60  # with more waypoints, every tenth is numbered
-_FADED = 0.35  # share of white mixed into the ground, so that coloured waypoints stand out
+_WHITE_SHARE = 0.35  # share of white mixed into the ground, so that coloured waypoints stand out
 
 
 def ground_from_above(world: World) -> NDArray[np.uint8]:
@@ -67,7 +67,7 @@ def draw(forecast: Forecast, ground: NDArray[np.uint8], side_m: float, path: Pat
     figure = Figure(figsize=(_SIDE * columns + 0.6, (_SIDE + 0.5) * rows), layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
     half = 0.5 * side_m
-    faded = np.asarray((1 - _FADED) * ground + _FADED * 255, np.uint8)
+    faded = np.asarray((1 - _WHITE_SHARE) * ground + _WHITE_SHARE * 255, np.uint8)
     for panel, season in zip(panels, forecast.seasons, strict=False):
         panel.imshow(faded, extent=(-half, half, -half, half))
         _draw_route(panel, forecast, season.name)

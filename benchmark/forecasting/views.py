@@ -30,10 +30,10 @@ from simulate.twin.options import SiteConfig
 
 Array = NDArray[np.float64]
 
-# Origins of map and twin count as equal if their heights differ by at most this, metres.
+# Origins of map and twin are taken as equal if their heights differ by at most this, metres.
 _SAME_UP_M = 0.1
-# Standard deviation of the views from the waypoint per axis (m) and of their attitude (deg), as the
-# wind of ``simulate``.
+# Standard deviation of the views' positions from the waypoint per axis (m), and of their attitudes
+# (deg).
 _DEVIATION_M: Final = 0.7
 _DEVIATION_DEG: Final = 1.5
 # A flight with more waypoints is refused, because its views would take hours to render.
@@ -52,7 +52,7 @@ def views_config(
     Args:
         scene: the scene of the map.
         sparse_map: its map.
-        flight: the flight, as a session of ``simulate`` names it: "plan=FILE" or "nadir".
+        flight: the flight, as in a session of ``simulate``, such as "plan=FILE" or "nadir".
         config: options of the forecast.
         twin: a finished twin; None builds one from ``scene``.
 

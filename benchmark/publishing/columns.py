@@ -67,14 +67,18 @@ COLUMNS: Final[Mapping[str, Column]] = {
     ),
     "scale": Column(
         "float",
-        "of a query: ground size of its pixels relative to that photograph's; null if not measured",
+        "of a query: ground size of its pixels relative to those of the best map photograph; null "
+        "if not measured",
     ),
     "angle_deg": Column(
-        "float", "of a query: angle between both lines of sight, degrees; null if not measured"
+        "float",
+        "of a query: angle between its lines of sight and those of the best map photograph, "
+        "degrees; null if not measured",
     ),
     "days": Column(
         "integer",
-        "of a query: days of the year between it and that photograph, 0 to 182; null if unknown",
+        "of a query: days of the year between it and the best map photograph, 0 to 182; null if "
+        "unknown",
     ),
 }
 """The columns that every published data set has, in their order."""
@@ -82,5 +86,5 @@ COLUMNS: Final[Mapping[str, Column]] = {
 
 def columns_with(layers: Sequence[Layer]) -> dict[str, Column]:
     """Return the columns of a data set with these layers."""
-    of_layers = {str(layer): Column("picture", LAYER_FILES[layer].meaning) for layer in layers}
-    return {**COLUMNS, **of_layers}
+    layer_columns = {str(layer): Column("picture", LAYER_FILES[layer].meaning) for layer in layers}
+    return {**COLUMNS, **layer_columns}

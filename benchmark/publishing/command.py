@@ -76,7 +76,9 @@ def publish(
     if unknown := [layer for layer in layers if layer not in LAYERS]:
         raise InputError(f"there is no layer {unknown[0]!r}; there are {', '.join(LAYERS)}")
     if layers and sealed:
-        raise InputError("poses follow from layers, so sealed scenes have none: leave out --layer")
+        raise InputError(
+            "dense layers reveal the poses, so a sealed data set has none: leave out --layer"
+        )
     ordered_layers = tuple(layer for layer in LAYERS if layer in layers)
     sources = open_sources(folders, ordered_layers, sealed)
     license_id = choose_license(sources, release)

@@ -41,14 +41,14 @@ class Release:
     """The publisher's statements on a data set.
 
     Attributes:
-        license: SPDX identifier that the hub knows; None for that of renders.
+        license: SPDX identifier that the hub accepts; None for that of renders.
         creator: person or organization; None if not stated.
         url: page of the data set; None if not stated.
         date: day of publication as YYYY-MM-DD; None if not stated.
         version: version of the data set as MAJOR.MINOR.PATCH.
 
     Raises:
-        InputError: a value is not written like this.
+        InputError: a value has another form.
     """
 
     license: str | None = None
@@ -96,14 +96,14 @@ class Description:
     """The description of a data set.
 
     Attributes:
-        summary: what it is.
-        making: how it was made.
-        cost: what it cost to make, and how much storage it takes.
+        summary: contents of the data set.
+        making: how the data set was made.
+        cost: cost of making the data set, and its size.
         annotation: where poses, cameras and priors come from.
-        limitations: what it cannot show.
-        biases: how it differs from the real world.
-        uses: what it is meant for.
-        personal: what it shows of people.
+        limitations: what the data set cannot show.
+        biases: how the data set differs from the real world.
+        uses: intended uses.
+        personal: personal information in the data set.
     """
 
     summary: str
@@ -180,7 +180,7 @@ def describe(published: Published, total_bytes: int) -> Description:
             "None: the sites are invented and show no people, faces or number plates."
             if invented
             else "The photographs may show real sites, people, vehicles and private ground. The "
-            "publisher answers for having checked them."
+            "publisher is responsible for having checked them."
         ),
     )
 

@@ -32,7 +32,7 @@ from objconnect.scene.maps.sparse_map import SparseMap
 
 @dataclass(frozen=True)
 class FlightSession:
-    """The map's photographs or the queries of a flight.
+    """A session of a flight: its map photographs or its queries.
 
     Attributes:
         condition: condition of the photographs that have no condition of their own.
@@ -80,8 +80,8 @@ def flight_rows(path: Path, dataset: Dataset, layers: Sequence[Layer]) -> SceneR
     """
     sparse_map, name = dataset.load_map(), dataset.name
     names = tuple(query.name for query in dataset.queries)
-    mapped = f"{name}-map"
-    frames = {mapped: _map_frames(sparse_map), name: _query_frames(dataset.queries)}
+    map_session = f"{name}-map"
+    frames = {map_session: _map_frames(sparse_map), name: _query_frames(dataset.queries)}
     for session in frames.values():
         check_arrays(path, session.names, {key: getattr(session, key) for key in FRAME_SHAPES})
     _require_same(path, dataset.queries, frames[name])
@@ -91,7 +91,7 @@ def flight_rows(path: Path, dataset: Dataset, layers: Sequence[Layer]) -> SceneR
         images_root=dataset.images,
         splits=Splits(map=sparse_map.names, queries={name: names}),
         sessions={
-            mapped: FlightSession(dataset.map_conditions[0]),
+            map_session: FlightSession(dataset.map_conditions[0]),
             name: FlightSession(dataset.queries[0].condition),
         },
     )

@@ -67,7 +67,7 @@ class PublishedScene(Provenance):
         track: track of its data set, see ``benchmark.datasets.dataset.Dataset``.
         sha256: digest of its data set.
         map_conditions: conditions of the map's photographs.
-        unjudged: thresholds that its reference poses are too inexact to judge.
+        unjudged: thresholds for which its reference poses are too inexact.
         sessions: flights by name.
         photographs: number of photographs by split.
         left_out: number of photographs in neither split, which are not published.

@@ -1,4 +1,4 @@
-"""The licences that published data and weights may have: SPDX identifiers that the hub knows.
+"""The licences that published data and weights may have: SPDX identifiers that the hub accepts.
 
 The names of the hub are those of its documentation (hf.co/docs/hub/repositories-licenses).
 """
@@ -43,7 +43,7 @@ _URLS: Final = {RENDERS_LICENSE: "https://creativecommons.org/licenses/by/4.0/"}
 
 
 def require_license(license_id: str) -> None:
-    """Refuse a licence that the hub does not know.
+    """Refuse a licence that the hub does not accept.
 
     Raises:
         InputError: it is not one of the SPDX identifiers.
@@ -51,7 +51,8 @@ def require_license(license_id: str) -> None:
     if license_id not in _HUB_NAMES:
         known = ", ".join(sorted(_HUB_NAMES, key=str.lower))
         raise InputError(
-            f"license {license_id!r} is no SPDX identifier that the hub knows: give one of {known}"
+            f"license {license_id!r} is no SPDX identifier that the hub accepts: give one of "
+            f"{known}"
         )
 
 

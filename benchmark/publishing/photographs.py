@@ -1,4 +1,4 @@
-"""The photographs of shards as files, which methods read.
+"""Unpacking of the photographs of shards into files, which methods read.
 
 The files are written once, to ``$XDG_CACHE_HOME/objconnect/photographs`` or
 ``~/.cache/objconnect/photographs``, in a folder named by the digests of the photographs.

@@ -81,8 +81,8 @@ def open_sealed(path: Path) -> list[Task]:
         InputError: a file is missing, damaged or was changed, or the address cannot be read.
     """
     folder = _folder(path)
-    opened = [_open(folder, scene, sealed=True) for scene in read_index(folder).scenes]
-    return [_drop_references(dataset) for dataset in opened]
+    datasets = [_open(folder, scene, sealed=True) for scene in read_index(folder).scenes]
+    return [_drop_references(dataset) for dataset in datasets]
 
 
 def _folder(path: Path) -> Path:
@@ -152,8 +152,8 @@ def _require_intact(folder: Path, scene: PublishedScene) -> None:
             raise InputError(
                 f"{folder / name} is not the file that was published: download it again"
             )
-    listed = {name for names in scene.shards.values() for name in names}
-    if unlisted := sorted(listed - scene.files.keys()):
+    shard_names = {name for names in scene.shards.values() for name in names}
+    if unlisted := sorted(shard_names - scene.files.keys()):
         raise InputError(
             f"{folder / INDEX}: shard {unlisted[0]} has no digest: download the data set again"
         )

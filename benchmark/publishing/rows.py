@@ -145,9 +145,9 @@ class SceneRows:
 
     def session_conditions(self, session: str) -> tuple[str, ...]:
         """Return the conditions of the photographs of a session."""
-        usual = self.scene.sessions[session].condition
+        session_condition = self.scene.sessions[session].condition
         names = self.frames[session].names
-        return tuple(sorted({self.conditions.get(name, usual) for name in names}))
+        return tuple(sorted({self.conditions.get(name, session_condition) for name in names}))
 
     def photograph_bytes(self, split: Split) -> int:
         """Return the bytes of the photographs of a split.
@@ -169,8 +169,8 @@ class SceneRows:
         Raises:
             InputError: a photograph or a layer is missing or damaged.
         """
-        listed = self.frame_rows(split)
-        for session, members in groupby(listed, key=lambda frame: frame.session):
+        split_rows = self.frame_rows(split)
+        for session, members in groupby(split_rows, key=lambda frame: frame.session):
             with ExitStack() as stack:
                 stored = stack.enter_context(self.scene.layers(session)) if self.layers else None
                 for frame in members:
@@ -206,7 +206,7 @@ class SceneRows:
             "height": camera.height,
             "camera_params": list(camera.params),
             "cam_from_world": frames.cam_from_world[k].tolist(),
-            **{key: _known(getattr(frames, key)[k]) for key in _MEASURED},
+            **{key: _as_plain_value(getattr(frames, key)[k]) for key in _MEASURED},
             "overlap": None if difficulty is None else difficulty.overlap,
             "scale": None if difficulty is None else difficulty.scale,
             "angle_deg": None if difficulty is None else difficulty.angle_deg,
@@ -216,17 +216,17 @@ class SceneRows:
         }
 
 
-def _read(path: Path, camera: Camera, bare: bool) -> bytes:
-    """Return the bytes of a photograph; if ``bare``, without its metadata.
+def _read(path: Path, camera: Camera, without_metadata: bool) -> bytes:
+    """Return the bytes of a photograph; with ``without_metadata`` without its metadata.
 
     Raises:
         InputError: the file is missing, damaged, or not of the camera's size.
     """
     read_rgb(path, camera)
-    return read_bare_jpeg(path) if bare else path.read_bytes()
+    return read_bare_jpeg(path) if without_metadata else path.read_bytes()
 
 
-def _known(value: NDArray[np.float64]) -> Any:
+def _as_plain_value(value: NDArray[np.float64]) -> Any:
     """Return a number or a list of them; None if it was not measured."""
     return None if np.isnan(value).any() else value.tolist()
 

@@ -18,7 +18,7 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.runtime.extras import import_extra
 from objconnect.scene.storage.files import require_readable
 
-# A file is closed when its pictures reach this size; hubs want less than 500 MB.
+# A file is closed when its pictures reach this size; hubs ask for less than 500 MB.
 _SHARD_BYTES: Final = 400 * 10**6
 # A viewer reads one group of rows at a time. A group ends at this many bytes of pictures or rows.
 _GROUP_BYTES: Final = 32 * 10**6

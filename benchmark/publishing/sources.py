@@ -31,7 +31,8 @@ OBJECTS: Final = "objects.json"
 # Options of a sealed scene that its description needs. The flights cannot be computed from them.
 _PUBLIC_OPTIONS: Final = ("size", "spp", "site")
 _NO_KEY: Final = (
-    "no key made its poses: 'objconnect track --sealed KEYFILE' renders scenes that can be sealed"
+    "its poses do not depend on a key: 'objconnect track --sealed KEYFILE' renders scenes that can "
+    "be sealed"
 )
 
 
@@ -128,12 +129,12 @@ def open_sources(folders: Sequence[Path], layers: Sequence[Layer], sealed: bool)
         is_flight_only = is_flight(folder) and not is_scene(folder)
         if is_flight_only and sealed:
             raise InputError(f"flight {folder} cannot be sealed, because {_NO_KEY}")
-        opened = (
+        new_sources = (
             _open_flight(folder, layers)
             if is_flight_only
             else [_open_scene(folder, layers, sealed)]
         )
-        for source in opened:
+        for source in new_sources:
             if source.dataset.name in (other.dataset.name for other in sources):
                 raise InputError(
                     f"two scenes are called {source.dataset.name!r}: rename the folder of one"
@@ -172,7 +173,7 @@ def _require_secret(scene: Scene) -> None:
 
 
 def _provenance(manifest: Manifest, sealed: bool) -> Provenance:
-    """Return how a scene was made, without what would reveal the flights of a sealed one."""
+    """Return how a scene was made; of a sealed scene, nothing that reveals its flights."""
     config = manifest.config
     if sealed:
         config = {key: config[key] for key in _PUBLIC_OPTIONS if key in config}
@@ -205,19 +206,19 @@ def _map_files(model: Path) -> list[tuple[str, Path]]:
 
 
 def find_scenes(paths: Sequence[Path]) -> list[Path]:
-    """Return the given folders of scenes and flights, and those inside of any other given folder.
+    """Return the given scenes and flights, and the scenes and flights in any other given folder.
 
     Raises:
         InputError: a path is published already, or a scene is given twice.
     """
     scenes: list[Path] = []
     for path in paths:
-        inside = []
+        scenes_inside = []
         if not _is_source(path) and path.is_dir():
             if (path / INDEX).is_file():
                 raise InputError(f"{path} is published already: give the scenes, not their copy")
-            inside = [folder for folder in sorted(path.iterdir()) if _is_source(folder)]
-        scenes += inside or [path]
+            scenes_inside = [folder for folder in sorted(path.iterdir()) if _is_source(folder)]
+        scenes += scenes_inside or [path]
     require_distinct(scenes)
     return scenes
 

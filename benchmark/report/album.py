@@ -55,7 +55,7 @@ class Entry:
         photograph: photograph as WebP.
         neighbour: name of the map photograph that shows most of the same points; None where no map
             photograph shows any.
-        world: (K, 3) map points that both show, world frame, metres.
+        world: (K, 3) map points that query and neighbour show, world frame, metres.
         truth: (K, 2) pixels of the points at the reference pose.
         seen: (K, 2) pixels of the points in the neighbour.
     """
@@ -135,17 +135,19 @@ def _make_entry(query: BenchmarkQuery, sparse_map: SparseMap) -> Entry:
     observations = shared[neighbour] if neighbour is not None else np.zeros(0, np.int64)
     points = sparse_map.images[neighbour].point_rows[observations] if neighbour else observations
     cell = max(query.camera.width, query.camera.height) / _CELLS
-    kept = space_points(
+    chosen = space_points(
         truth[points], np.ones(len(points), np.bool_), sparse_map.track_length[points], cell
     )
-    rows = points[kept]
+    rows = points[chosen]
     return Entry(
         camera=query.camera,
         photograph=webp(read_rgb(query.image, query.camera)),
         neighbour=neighbour,
         world=sparse_map.xyz[rows],
         truth=truth[rows],
-        seen=sparse_map.images[neighbour].xy[observations[kept]] if neighbour else np.zeros((0, 2)),
+        seen=sparse_map.images[neighbour].xy[observations[chosen]]
+        if neighbour
+        else np.zeros((0, 2)),
     )
 
 
@@ -220,7 +222,7 @@ def album_parts(path: Path, sha256: str) -> dict[str, str] | None:
 
     Args:
         path: file of the album.
-        sha256: digest of the data set in the earlier run, of which the album must be.
+        sha256: digest of the data set in the earlier run; the album must belong to it.
 
     Returns:
         The digests by part; None where the album is missing, damaged, or of other data.

@@ -101,7 +101,7 @@ def _tabular(
 ) -> Iterator[str]:
     """Yield a tabular, with a rule between rows of different parts.
 
-    ``parts`` says of each row to which part of the table it belongs.
+    ``parts`` names the part of the table that each row belongs to.
     """
     yield f"\\begin{{tabular}}{{ll{'r' * (len(header) - 2)}}}"
     yield r"\toprule"

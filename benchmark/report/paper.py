@@ -41,7 +41,7 @@ class TableCell:
     """The recall at 0.5 m, 5° in percent.
 
     The paper states neither intervals nor numbers of queries; they are None in its cells. A cell of
-    ours has no interval where all queries are of one course.
+    this project has no interval where all queries are of one course.
     """
 
     value: float
@@ -84,7 +84,7 @@ def note() -> str:
 
 def side_by_side(groups: Sequence[Group]) -> list[Line]:
     """Return the lines of the paper, then one for each of our methods and starts."""
-    return paper_lines() + list(_ours(groups))
+    return paper_lines() + list(_project_lines(groups))
 
 
 def paper_lines() -> list[Line]:
@@ -95,7 +95,7 @@ def paper_lines() -> list[Line]:
     ]
 
 
-def _ours(groups: Sequence[Group]) -> Iterator[Line]:
+def _project_lines(groups: Sequence[Group]) -> Iterator[Line]:
     """Yield a line for each method and start, over all queries of a column's data sets."""
     by_run: dict[tuple[str, str], dict[str, list[QueryResult]]] = {}
     for group in groups:
@@ -115,7 +115,7 @@ def _ours(groups: Sequence[Group]) -> Iterator[Line]:
 
 
 def source_text(start: str, declared: bool = False) -> str:
-    """Return the source of a line of ours.
+    """Return the source of a line of this project.
 
     Args:
         start: name of the starting information.
@@ -125,7 +125,7 @@ def source_text(start: str, declared: bool = False) -> str:
 
 
 def pool(queries: Sequence[QueryResult]) -> TableCell:
-    """Return the cell of our queries of a column.
+    """Return the cell of a column, over all queries of this project in it.
 
     Flights of the same name count as one course: rendered sites of one seed may share courses.
     """

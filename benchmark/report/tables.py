@@ -118,7 +118,7 @@ def groups(results: Sequence[Path]) -> list[Group]:
             from its queries, or two files of one run differ.
     """
     loaded: dict[tuple[str, str, str, str], list[tuple[Path, Results]]] = {}
-    for path, run in _load_distinct([file for given in results for file in results_files(given)]):
+    for path, run in _load_distinct([file for source in results for file in results_files(source)]):
         key = (run.dataset.track, run.dataset.name, run.dataset.sha256, run.start)
         loaded.setdefault(key, []).append((path, run))
     _warn_of_versions(key[:3] for key in loaded)
@@ -152,7 +152,7 @@ def tables(results: Sequence[Path]) -> list[Table]:
 
 
 def start_in_words(start: str) -> str:
-    """Return a description of what the methods were told about each query."""
+    """Return a start in words: the information on each query that the methods had."""
     kind, _, value = start.partition("=")
     if kind in _ERROR_STARTS:
         value = _METRES.sub(" m", value).replace("deg", "°").replace(",", " and ")

@@ -138,8 +138,8 @@ def view(path: Path, results: Sequence[Path] = (), out: Path | None = None) -> S
 def _check_outputs(path: Path, results: Sequence[Path], out: Path | None) -> tuple[Path, Path]:
     """Return the paths of the page and the picture, after checking that they may be written."""
     if out is None:
-        made = [OutputFile(path / PAGE, _MARK), OutputFile(path / PICTURE, PNG_MARK)]
-        check_outputs(made, within=path)
+        outputs = [OutputFile(path / PAGE, _MARK), OutputFile(path / PICTURE, PNG_MARK)]
+        check_outputs(outputs, within=path)
         return path / PAGE, path / PICTURE
     if out.suffix.lower() not in _ENDINGS:
         raise InputError(f"{out} must end in .html: the view is an HTML page")
@@ -263,10 +263,10 @@ def _data(
 def _pack(cloud: Cloud) -> dict[str, Any]:
     """Encode a cloud with 16 bits per coordinate; along 250 m a step is four millimetres."""
     total, most = len(cloud.xyz), MOST_POINTS[cloud.layer]
-    kept = np.arange(total)
+    rows = np.arange(total)
     if total > most:
-        kept = np.sort(np.random.default_rng(0).choice(total, most, replace=False))
-    xyz = cloud.xyz[kept]
+        rows = np.sort(np.random.default_rng(0).choice(total, most, replace=False))
+    xyz = cloud.xyz[rows]
     low = xyz.min(0) if len(xyz) else np.zeros(3)
     step = np.maximum(np.ptp(xyz, axis=0) if len(xyz) else 0, 1e-9) / _STEPS
     grid = np.round((xyz - low) / step).astype("<u2")
@@ -276,7 +276,7 @@ def _pack(cloud: Cloud) -> dict[str, Any]:
         "low": low.tolist(),
         "step": np.broadcast_to(step, 3).tolist(),
         "xyz": base64.b64encode(grid.tobytes()).decode(),
-        "rgb": base64.b64encode(np.ascontiguousarray(cloud.rgb[kept]).tobytes()).decode(),
+        "rgb": base64.b64encode(np.ascontiguousarray(cloud.rgb[rows]).tobytes()).decode(),
     }
 
 
@@ -294,21 +294,21 @@ def _cameras(
     for session in scene.sessions:
         frames = scene.frames(session)
         cameras.update(zip(frames.names, frames.cameras, strict=True))
-    listed = []
+    page_cameras = []
     for name in _list_names(scene, sparse_map):
-        mapped = sparse_map.images.get(name)
-        pose = poses[name] if mapped is None else mapped.pose
-        camera = cameras[name] if mapped is None else mapped.camera
+        map_image = sparse_map.images.get(name)
+        pose = poses[name] if map_image is None else map_image.pose
+        camera = cameras[name] if map_image is None else map_image.camera
         world_from_cam = pose.rotation.T.numpy()
         # Half of the width and height of the image plane at depth 1.
         x, y = camera.width / camera.focal[0] / 2, camera.height / camera.focal[1] / 2
         corners = np.array([[-x, -y, 1], [x, -y, 1], [x, y, 1], [-x, y, 1]])
         centre = pose.centre().numpy()
-        listed.append(
+        page_cameras.append(
             {
                 "name": name,
                 "session": name.partition("/")[0],
-                "role": "query" if mapped is None else "map",
+                "role": "query" if map_image is None else "map",
                 "centre": centre.tolist(),
                 "ahead": world_from_cam[:, 2].tolist(),
                 "up": (-world_from_cam[:, 1]).tolist(),
@@ -316,7 +316,7 @@ def _cameras(
                 "depth": max(1.0, sparse_map.height_above(centre)),
             }
         )
-    return listed
+    return page_cameras
 
 
 def _photographs(scene: Scene, sparse_map: SparseMap) -> dict[str, str]:

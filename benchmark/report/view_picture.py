@@ -27,7 +27,7 @@ def draw(name: str, centres: NDArray[np.float64], content: ViewContent, path: Pa
     Args:
         name: name of the scene.
         centres: (N, 3) centres of the map's cameras, metres.
-        content: what else is drawn.
+        content: points, objects, query paths and estimates to draw.
         path: path of the PNG file.
 
     Raises:

@@ -1,7 +1,7 @@
 """The errors of priors that follow from the name of a start.
 
 The starts ``error=3m,5deg`` and ``gps=50m`` give each query a position with an error of exactly
-this size, so that it is known although files of earlier versions and submissions do not hold it.
+this size, so that the error is known, although files of earlier versions and submissions lack it.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ class DatasetId(Record):
         track: see ``benchmark.datasets.dataset.Dataset``.
         sha256: digest of all its parts.
         map_conditions: conditions of the map's photographs.
-        unjudged: thresholds that its reference poses are too inexact to judge, see ``Dataset``.
+        unjudged: thresholds for which its reference poses are too inexact, see ``Dataset``.
     """
 
     name: str

@@ -44,12 +44,12 @@ def difference_interval(
 def permutation_p(
     before: Sequence[bool], after: Sequence[bool], clusters: Sequence[str], seed: int = 0
 ) -> float | None:
-    """Return the two-sided p value of whether two runs differ, for courses as a whole.
+    """Return the two-sided p value of whether two runs differ, with courses as units.
 
     Under the null hypothesis, the change of each course is equally likely with the other sign. The
     p value is the share of all sign patterns whose total change is at least as large as the
-    observed one. If more than ``_EXACT_COURSES`` changed, ``_RANDOM_PATTERNS`` and the observed
-    pattern stand for all. With k courses, p is never below 2 / 2^k.
+    observed one. If more than ``_EXACT_COURSES`` courses changed, ``_RANDOM_PATTERNS`` random
+    patterns and the observed one stand for all. With k courses, p is never below 2 / 2^k.
 
     Args:
         before: whether each query was correct in the first run.

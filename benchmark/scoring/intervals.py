@@ -1,4 +1,4 @@
-"""Intervals of a share and of a mean of queries, where those of one course tend to fail together.
+"""Intervals of shares and means of queries, where queries of one course tend to fail together.
 
 Photographs of one course share light, weather, height, tilt and the ground below. An interval that
 takes them for independent is too narrow. If the recalls of 14 courses of 200 queries have a mean of
@@ -67,9 +67,9 @@ def share_of_counts(right: NDArray[np.float64], size: NDArray[np.int64]) -> Inte
     value = float(right.sum()) / count
     if clusters < 2:
         return Interval(100 * value, None, None)
-    between = clusters / (clusters - 1) * float(np.square(right - value * size).sum())
-    within = count * value * (1 - value)
-    design = max(between / within, 1.0) if within else 1.0
+    cluster_variance = clusters / (clusters - 1) * float(np.square(right - value * size).sum())
+    independent_variance = count * value * (1 - value)
+    design = max(cluster_variance / independent_variance, 1.0) if independent_variance else 1.0
     effective = count / design * (Z_95 / student_95(clusters - 1)) ** 2
     low, high = wilson(value * effective, effective)
     return Interval(100 * value, 100 * low, 100 * high)

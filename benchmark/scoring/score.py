@@ -132,14 +132,15 @@ def wrong_answers(outcomes: Sequence[ClusteredOutcome]) -> Interval:
 def worse_than_prior(outcomes: Sequence[ClusteredOutcomeWithPrior]) -> Interval | None:
     """Return the percentage of queries whose answer is farther off than the prior's position.
 
-    Only queries with such a position count. The interval is by course. None without such a query.
+    Only queries whose prior has a position are counted. The interval is by course. The result is
+    None without such a query.
     """
     known = [outcome for outcome in outcomes if outcome.prior_t_m is not None]
     return _share(known, [is_worse_than_prior(outcome) for outcome in known]) if known else None
 
 
-def _share(outcomes: Sequence[ClusteredOutcome], counted: Sequence[bool]) -> Interval:
-    return share(counted, [outcome.cluster for outcome in outcomes])
+def _share(outcomes: Sequence[ClusteredOutcome], flags: Sequence[bool]) -> Interval:
+    return share(flags, [outcome.cluster for outcome in outcomes])
 
 
 def median_errors(outcomes: Sequence[Outcome]) -> tuple[float | None, float | None]:

@@ -113,7 +113,7 @@ class Summary(Record):
     peak_memory_mb: float | None
 
     def integrity(self) -> tuple[Recall | None, Recall | None, Recall | None]:
-        """Return the shares of false fixes, of wrong answers, and of those worse than the prior."""
+        """Return the shares of false fixes, wrong answers and answers worse than the prior."""
         return self.false_fixes, self.wrong_1m, self.worse_than_prior
 
 
@@ -130,8 +130,8 @@ def summarize(
         prepare: seconds that the run took before its first query.
         peak_memory_mb: peak memory of the run (1e6 bytes); None if unknown.
         unjudged: thresholds that the reference poses are too inexact for, see
-            ``Dataset.unjudged``; their figures are None. Both figures of wrong answers and of
-            answers worse than their prior need poses that judge 1 m.
+            ``Dataset.unjudged``; their figures are None. If "1 m" is among them, the shares of
+            wrong answers and of answers worse than their prior are None.
     """
     median_t, median_r = median_errors(queries)
     stages = dict.fromkeys(stage for query in queries for stage in query.seconds)

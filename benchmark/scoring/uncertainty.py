@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from benchmark.scoring.intervals import Interval, mean_interval, share
 from benchmark.scoring.score import ClusteredOutcome, Threshold, is_correct
 
-if TYPE_CHECKING:  # it loads torch
+if TYPE_CHECKING:  # pose.py loads torch
     from objconnect.scene.geometry.pose import Pose
 
 # 95 % quantile of the chi-square distribution with 6 degrees of freedom.
@@ -54,7 +54,7 @@ def compute_nees(
     """Return the normalised estimation error squared (NEES) of a pose.
 
     With the error e in the left tangent, ``reference = exp(e) @ estimate``, it is e' S^-1 e, which
-    follows chi-square with 6 degrees of freedom when S is right (Bar-Shalom, Li and Kirubarajan,
+    follows chi-square with 6 degrees of freedom if S is right (Bar-Shalom, Li and Kirubarajan,
     "Estimation with Applications to Tracking and Navigation", 2001, 5.4.2).
 
     Args:
@@ -82,11 +82,11 @@ def consistency(outcomes: Sequence[PredictedOutcome]) -> Consistency | None:
     if not known:
         return None
     values, clusters = zip(*known, strict=True)
-    within = share([value <= _CHI2_95 for value in values], clusters)
+    share_within = share([value <= _CHI2_95 for value in values], clusters)
     ends = mean_interval(values, clusters)
     if ends is not None:
         ends = max(ends[0], 0.0), ends[1]
-    return Consistency(len(values), fmean(values), ends, median(values), within)
+    return Consistency(len(values), fmean(values), ends, median(values), share_within)
 
 
 def doubt(outcome: PredictedOutcome) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""The poses that a method finds, in the files of a submission.
+"""Write the poses that a method finds into the files of a submission.
 
 Reference poses are not needed, so that a method can be run on the public half of sealed scenes.
 """
@@ -97,8 +97,8 @@ def write_answers(
         path: data set, or published folder, also one whose query poses are sealed.
         localizer: method to run.
         out: folder of the submission.
-        start: what the method is told about each query besides its image.
-        cache: folder for what the method keeps per map; None for a scratch folder in ``out``.
+        start: information on each query that the method gets besides its image.
+        cache: folder for data that the method keeps per map; None for a scratch folder in ``out``.
         jobs: number of queries at a time, in threads.
 
     Raises:
@@ -122,6 +122,6 @@ def write_answers(
         start=start.name,
         files=files,
         digests={task.name: task.sha256 for task in tasks},
-        found={name: len(of_task) for name, of_task in lines.items()},
+        found={name: len(task_lines) for name, task_lines in lines.items()},
         queries={task.name: len(task.queries) for task in tasks},
     )

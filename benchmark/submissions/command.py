@@ -51,7 +51,7 @@ class SubmissionReport:
         return {"method": first.method.name, "start": first.start, "scores": scores}
 
     def _unjudged(self) -> set[str]:
-        """Return the thresholds that the reference poses of a data set do not judge."""
+        """Return the thresholds for which reference poses of a data set are too inexact."""
         return {text for results in self.results.values() for text in results.dataset.unjudged}
 
     def _line(self, name: str, figures: Mapping[str, Any]) -> str:

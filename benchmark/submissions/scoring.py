@@ -41,21 +41,21 @@ _PAPER_METHODS: Final = ("d2-net", "object-connect")
 
 
 @dataclass(frozen=True)
-class Scored:
+class ScoredSubmission:
     """A submission with its results by data set."""
 
     submission: Submission
     results: Mapping[str, Results]
 
 
-def read_submissions(track: Track, tracks_folder: Path) -> tuple[list[Scored], list[str]]:
+def read_submissions(track: Track, tracks_folder: Path) -> tuple[list[ScoredSubmission], list[str]]:
     """Read and score the submissions that a track keeps.
 
     Returns:
         The submissions, and a sentence for each folder that is left out because it is damaged, for
         another track, or a duplicate.
     """
-    scored: list[Scored] = []
+    scored: list[ScoredSubmission] = []
     left_out = []
     for folder in find_submissions(tracks_folder / track.name):
         try:
@@ -65,7 +65,7 @@ def read_submissions(track: Track, tracks_folder: Path) -> tuple[list[Scored], l
         except InputError as error:
             left_out.append(f"the submission {folder.name} is left out: {error}")
             continue
-        scored.append(Scored(submission, results))
+        scored.append(ScoredSubmission(submission, results))
     return scored, left_out
 
 

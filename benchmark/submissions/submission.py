@@ -32,7 +32,7 @@ _POSES: Final = "poses"
 _SUFFIX: Final = ".txt"
 # Decimals of poses that count as the same.
 _DIGEST_DECIMALS: Final = 5
-# Most bytes of a card; of a line of the pose file, which has one for each query; of its comments.
+# Largest number of bytes of a card, of a line of a pose file, and of the comments of a pose file.
 _CARD_BYTES: Final = 1 << 16
 _LINE_BYTES: Final = 1000
 _COMMENT_BYTES: Final = 1 << 16
@@ -79,8 +79,8 @@ class Card(Record):
         description: what the method is, one line.
         url: address of the code or the paper; None if there is none yet.
         trained_on: data that it was trained on.
-        start: what it was told about each query besides the image, one of the track's starts.
-        hardware: what it ran on, and seconds a query; None if not stated.
+        start: information that it had on each query besides the image, one of the track's starts.
+        hardware: machine that it ran on, and seconds per query; None if not stated.
         datasets: digest of each data set, as ``objconnect track`` and results files show it.
     """
 
@@ -145,7 +145,7 @@ def read_submission(folder: Path, card: Card, queries: Mapping[str, int]) -> Sub
 
     Raises:
         InputError: a file of poses is missing, damaged, empty, larger than its queries need or not
-            listed in the card, or a file lies there that is neither.
+            listed in the card, or the folder holds any other file.
     """
     files = _list_files(folder, card)
     for dataset, path in files.items():
@@ -156,15 +156,15 @@ def read_submission(folder: Path, card: Card, queries: Mapping[str, int]) -> Sub
             raise InputError(f"{path} contains no pose")
     lines = (
         f"{dataset} {pose_line(name, pose, _DIGEST_DECIMALS)}"
-        for dataset, of_dataset in poses.items()
-        for name, pose in of_dataset.items()
+        for dataset, dataset_poses in poses.items()
+        for name, pose in dataset_poses.items()
     )
     sha256 = hashlib.sha256("\n".join(sorted(lines)).encode()).hexdigest()
     return Submission(folder, card, poses, sha256)
 
 
 def _list_files(folder: Path, card: Card) -> dict[str, Path]:
-    """Return the file of poses of each data set; refuse missing files and others."""
+    """Return the file of poses of each data set; refuse missing and other files."""
     files = {dataset: poses_path(folder, dataset) for dataset in card.datasets}
     expected = [path.relative_to(folder).as_posix() for path in files.values()]
     found = sorted(

@@ -1,9 +1,9 @@
 """Compact results files, because a track stores hundreds of results.
 
-``xz -d`` turns one into an ordinary results file with rounded numbers. Errors, those of priors too,
-predicted sigma and NEES keep ten digits, which changes a median or a mean by less than 1e-9 of its
-value; a query that rounding would move across a threshold keeps all digits of them. Translations
-are rounded to 0.1 mm, quaternions to 1e-7 and heights to 1 cm. The seconds of a query keep three
+``xz -d`` turns one into an ordinary results file with rounded numbers. Errors (also of priors),
+predicted sigmas and NEES keep ten digits, which changes a median or a mean by less than 1e-9 of its
+value. If rounding would move a query across a threshold, they keep all digits. Translations are
+rounded to 0.1 mm, quaternions to 1e-7 and heights to 1 cm. The seconds of a query keep three
 digits, because repeated runs differ by more.
 """
 
@@ -71,7 +71,7 @@ def write_compact(path: Path, results: Results) -> None:
 
 
 def targets_of(results: Sequence[Path], folder: Path) -> dict[Path, Results]:
-    """Return the results that ``store`` writes into the folder of a track, by the file of each.
+    """Return the results that ``store`` writes into the folder of a track, by target file.
 
     Args:
         results: results files, or folders of them.
@@ -150,12 +150,12 @@ def _round_query(query: QueryResult) -> QueryResult:
 
 
 def _outcomes(query: QueryResult) -> tuple[object, ...]:
-    """Return whether each figure counts a query, and the name of its altitude band."""
+    """Return the figures of a single query, and the name of its altitude band."""
     figures = summarize([query])
-    inside = figures.uncertainty and figures.uncertainty.within_95.value
+    share_inside = figures.uncertainty and figures.uncertainty.within_95.value
     bands = tuple(summarize_parts([query])["altitude"])
     integrity = figures.false_fixes, figures.wrong_1m, figures.worse_than_prior
-    return figures.recall, integrity, inside, bands
+    return figures.recall, integrity, share_inside, bands
 
 
 def _shorten(value: Any) -> Any:

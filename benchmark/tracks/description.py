@@ -71,11 +71,11 @@ class Track(Record):
 
     Attributes:
         name: name of its folder.
-        title: one line that says what it tests.
+        title: one line that states what it tests.
         config: configuration of ``simulate``, a name or a file; places set preset and seed. None
             if they are flights, which are not rendered.
         places: the places.
-        starts: what methods are told about each query besides its image, as names of
+        starts: information on each query that methods get besides its image, as names of
             ``benchmark.evaluation.starts``.
         methods: names of the results files.
         controls: for a method that differs from another one in a single part, the name of that
@@ -103,7 +103,7 @@ class Track(Record):
     @field_validator("held_out")
     @classmethod
     def _can_be_rendered(cls, held_out: HeldOut | None) -> HeldOut | None:
-        """Refuse names that the simulator does not know, which would hold out nothing."""
+        """Refuse names that the simulator lacks, because they would hold out nothing."""
         if held_out is None:
             return None
         words = {word for name in held_out.conditions for word in name.split("-")}

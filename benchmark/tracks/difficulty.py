@@ -38,7 +38,7 @@ _YEAR_DAYS: Final = 365
 
 
 class Difficulty(NamedTuple):
-    """A query against the map photograph that sees most of it.
+    """The comparison of a query with the map photograph that sees most of its surface.
 
     Attributes:
         overlap: share of the query's pixels whose surface the map photograph sees too, 0 to 1.
@@ -272,14 +272,16 @@ def _depths(
 
 def _best_photographs(scene: Scene, queries: Sequence[str]) -> dict[str, dict[str, float]]:
     """Return the map photographs that see most of each query, with their shares of its surface."""
-    mapped = scene.splits.map
-    overlap = scene.covisibility.select([*queries, *mapped]).overlap[: len(queries), len(queries) :]
+    map_names = scene.splits.map
+    overlap = scene.covisibility.select([*queries, *map_names]).overlap[
+        : len(queries), len(queries) :
+    ]
     shares = {}
     for name, row in zip(queries, overlap.tolist(), strict=True):
         min_share = max(row, default=0.0) - _SAME_SHARE
         shares[name] = {
             photograph: share
-            for photograph, share in zip(mapped, row, strict=True)
+            for photograph, share in zip(map_names, row, strict=True)
             if share > 0 and share >= min_share
         }
     return shares

@@ -15,7 +15,7 @@ from objconnect.scene.storage.tables import read_table
 SAME: Final = "same"
 """Name of the queries under the map's own condition; no condition may have this name."""
 CHANGED: Final = "changed"
-"""Name of the other queries; no condition may have this name."""
+"""Name of the queries under all other conditions; no condition may have this name."""
 SEEN: Final = "seen"
 """Name of queries whose condition and kind of place their track does not hold out of training."""
 UNSEEN: Final = ("unseen-condition", "unseen-place", "unseen-both")
@@ -30,7 +30,7 @@ _MOST_SCALE: Final = 1e6
 
 
 def read_queries(path: Path) -> tuple[QueryRow, ...]:
-    """Read what ``benchmark.tracks.difficulty.write_queries`` wrote.
+    """Read the list that ``benchmark.tracks.difficulty.write_queries`` wrote.
 
     Raises:
         InputError: the file cannot be read, a column is missing, a query is listed twice, or a

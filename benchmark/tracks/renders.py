@@ -100,7 +100,7 @@ def write_render(path: Path, render: Render) -> None:
 
 
 def read_render(path: Path) -> Render:
-    """Read what ``write_render`` wrote.
+    """Read a record that ``write_render`` wrote.
 
     Raises:
         InputError: the file is missing, damaged or not such a record.
@@ -114,9 +114,9 @@ def difference(recorded: Render, render: Render) -> str:
     names = [frame.name for frame in render.frames]
     if names != recorded_names:
         return "other frames"
-    for before, now in zip(recorded.frames, render.frames, strict=True):
-        if not _is_same_camera(before.camera, now.camera):
-            return f"another camera of {now.name}"
+    for former, current in zip(recorded.frames, render.frames, strict=True):
+        if not _is_same_camera(former.camera, current.camera):
+            return f"another camera of {current.name}"
     pose = _largest_differences(recorded, render, "cam_from_world")
     if pose.max() > _POSITION_M:
         return f"another pose of {names[int(pose.argmax())]}"
@@ -143,16 +143,20 @@ def _is_same_camera(words: str, others: str) -> bool:
     """
     if words == others:
         return True
-    before, now = Camera.parse(words.split()), Camera.parse(others.split())
-    if (before.model, before.width, before.height) != (now.model, now.width, now.height):
+    former, current = Camera.parse(words.split()), Camera.parse(others.split())
+    if (former.model, former.width, former.height) != (
+        current.model,
+        current.width,
+        current.height,
+    ):
         return False
-    return bool(np.allclose(now.params, before.params, rtol=_CAMERA_SHARE, atol=_CAMERA_SHARE))
+    return bool(np.allclose(current.params, former.params, rtol=_CAMERA_SHARE, atol=_CAMERA_SHARE))
 
 
 def _largest_differences(recorded: Render, render: Render, field: str) -> NDArray[np.float64]:
     """Return the largest difference of a field's numbers for each frame, (N,)."""
-    before, now = (
+    former, current = (
         np.array([getattr(frame, field) for frame in one.frames], np.float64)
         for one in (recorded, render)
     )
-    return np.asarray(np.abs(now - before).max(1))
+    return np.asarray(np.abs(current - former).max(1))

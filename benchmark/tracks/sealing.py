@@ -14,17 +14,17 @@ from benchmark.tracks.description import Track, TrackPlace
 from objconnect.scene.errors import InputError
 from objconnect.scene.storage.files import require_readable
 
-# Least and most bytes of a key. They exclude keys of fewer than 128 bits, and most photographs and
-# archives that are given by mistake.
+# Smallest and largest number of bytes of a key. They exclude keys of fewer than 128 bits, and most
+# photographs and archives that are given by mistake.
 _LEAST_BYTES: Final = 16
 _MOST_BYTES: Final = 4096
-# Least number of different bytes. Fewer than one in 10,000 keys of 16 random bytes or hexadecimal
-# digits have less.
+# Smallest number of different bytes. Fewer than one in 10,000 keys of 16 random bytes or
+# hexadecimal digits have fewer.
 _LEAST_DIFFERENT: Final = 6
 
 
 def read_key(path: Path) -> bytes:
-    """Read the key of sealed places; every byte of the file counts.
+    """Read the key of sealed places, which is the whole file.
 
     Raises:
         InputError: the file cannot be read, is too short or too long, or is not random.
@@ -50,7 +50,7 @@ def read_key(path: Path) -> bytes:
 def sealed_seed(key: bytes, track: Track, place: TrackPlace) -> int:
     """Return the seed of a sealed place: the first 128 bits of HMAC-SHA256 of its name.
 
-    A seed of 31 bits, as those of other places, could be found by trying all.
+    A seed of 31 bits, like the seeds of other places, could be found by trying all of them.
     """
     digest = hmac.digest(key, f"{track.name}/{place.dataset}".encode(), "sha256")
     return int.from_bytes(digest[:16], "big")

@@ -64,8 +64,8 @@ def scores(
 ) -> dict[str, list[dict[str, Any]]]:
     """Return the scores on a published data set by the name of their file.
 
-    A score is the recall within 0.5 m and 5° in percent over all scenes of the data set. Scenes
-    whose reference poses are too inexact to judge it give no score.
+    A score is the recall within 0.5 m and 5° in percent over all scenes of the data set. A data
+    set with a scene whose reference poses are too inexact for this threshold has no score.
 
     Raises:
         InputError: no method has results of all scenes from one start.
@@ -106,7 +106,7 @@ def _score(
 ) -> dict[str, Any]:
     queries = [query for run in by_scene.values() for query in run.queries]
     recall = summarize(queries, 0.0, None).recall[_THRESHOLD.key]
-    assert recall is not None  # ``scores`` takes runs whose reference poses judge it
+    assert recall is not None  # ``scores`` leaves out runs with too inexact poses
     return {
         "dataset": {
             "id": benchmark.repository,

@@ -51,7 +51,7 @@ def read_evaluations(paths: Sequence[Path], sha256: str) -> tuple[list[Evaluatio
     """
     files = [file for path in paths for file in results_files(path)]
     read = [Evaluation(file, load(file)) for file in files]
-    ours: dict[str, Evaluation] = {}
+    by_name: dict[str, Evaluation] = {}
     for each in read:
         if each.results.method.weights_sha256 != sha256:
             continue
@@ -59,17 +59,18 @@ def read_evaluations(paths: Sequence[Path], sha256: str) -> tuple[list[Evaluatio
             raise InputError(
                 f"results file {each.file}: the name of its data set leads out of the folder"
             )
-        if each.name in ours and sha256_of(each.file) != sha256_of(ours[each.name].file):
+        if each.name in by_name and sha256_of(each.file) != sha256_of(by_name[each.name].file):
             raise InputError(
-                f"{each.file} and {ours[each.name].file} would both be {each.name}: leave out one"
+                f"{each.file} and {by_name[each.name].file} would both be {each.name}: leave out "
+                "one"
             )
-        ours[each.name] = each
-    if paths and not ours:
+        by_name[each.name] = each
+    if paths and not by_name:
         raise InputError(
             f"none of the {len(read)} results files is of these weights (sha256 {sha256[:12]}): "
             "evaluate with them"
         )
-    return [ours[name] for name in sorted(ours)], len(read) - len(ours)
+    return [by_name[name] for name in sorted(by_name)], len(read) - len(by_name)
 
 
 def figures(evaluations: Sequence[Evaluation]) -> str:
@@ -114,7 +115,7 @@ def _table(evaluations: Sequence[Evaluation]) -> Iterator[str]:
                 str(summary.queries),
                 *(
                     "–" if recall is None else recall.text()
-                    for recall in (summary.recall[each.key] for each in THRESHOLDS)
+                    for recall in (summary.recall[threshold.key] for threshold in THRESHOLDS)
                 ),
                 "–" if summary.false_fixes is None else summary.false_fixes.text(),
             ]

@@ -37,8 +37,8 @@ class Source:
         file: the file.
         sha256: its digest.
         method: method that it belongs to.
-        facts: what its card says about data, training and licences.
-        limits: what its card says about its limits.
+        facts: statements of its card on data, training and licences.
+        limits: statements of its card on its limits.
         calibration: calibration files beside it.
         license: SPDX identifier of its licence.
     """
@@ -58,7 +58,7 @@ class Source:
 
 
 def open_source(weights: str, license_id: str | None) -> Source:
-    """Open weights by the name of those that come with the project, or by their file.
+    """Open weights that come with the project by name, and other weights by file.
 
     Args:
         weights: a key of ``SHIPPED``, or a ``.safetensors`` file.

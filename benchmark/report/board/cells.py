@@ -68,7 +68,7 @@ def cells(queries: Sequence[BoardQuery]) -> Iterator[Cell]:
 
 
 def shared_cells(queries: Sequence[BoardQuery], runs: Sequence[BoardRun]) -> Iterator[Cell]:
-    """Yield the cells, each with only those queries on which every run was made.
+    """Yield the cells, each with only those queries for which every run has a result.
 
     A cell without such queries is left out. If every run has every query, nothing is yielded.
     """
@@ -111,7 +111,7 @@ def recall_at_risk(outcomes: Sequence[PredictedOutcome], threshold: Threshold) -
     accepted = np.arange(1, len(certain) + 1)
     # A set of accepted answers may end only at the last of several ties.
     doubts = [doubt(o) for o in certain]
-    closed = np.array([a != b for a, b in pairwise([*doubts, None])])
-    allowed = np.flatnonzero(closed & (accepted - correct < RISK * accepted))
+    ends_tie = np.array([a != b for a, b in pairwise([*doubts, None])])
+    allowed = np.flatnonzero(ends_tie & (accepted - correct < RISK * accepted))
     right[allowed[-1] + 1 if len(allowed) else 0 :] = False
     return share(right, [o.cluster for o in ranked])

@@ -25,7 +25,7 @@ class Axis:
         key: attribute of ``benchmark.tracks.difficulty.Difficulty``.
         short: its name in a word or two.
         column: heading of a column of its values.
-        title: what it is, in a phrase.
+        title: description of the difficulty in one phrase.
         unit: its unit.
         edges: edges of the bins. A bin holds its lower edge and not its upper one; the last holds
             both.
@@ -109,10 +109,10 @@ def bin_recall(
     """
     course = number_clusters(courses)
     shape = count, int(course.max(initial=-1)) + 1
-    kept = bins >= 0
-    cell = np.ravel_multi_index((bins[kept], course[kept]), shape)
+    has_bin = bins >= 0
+    cell = np.ravel_multi_index((bins[has_bin], course[has_bin]), shape)
     total = np.bincount(cell, minlength=shape[0] * shape[1]).reshape(shape)
-    right = np.bincount(cell, correct[kept], shape[0] * shape[1]).reshape(shape)
+    right = np.bincount(cell, correct[has_bin], shape[0] * shape[1]).reshape(shape)
     return [
         Bin(int(n.sum()), share_of_counts(k[n > 0], n[n > 0]) if n.any() else None)
         for n, k in zip(total, right, strict=True)

@@ -130,7 +130,8 @@ def _run(board: TrackBoard, cell: Cell, run: BoardRun) -> dict[str, Any] | None:
         "nees": nees_of(summary.uncertainty),
         "bounded": [None if share is None else _interval(share) for share in bounded],
         "surest": [
-            _surest(answers, k) if is_judged else None for k, is_judged in enumerate(judged)
+            _sample_risk_coverage(answers, k) if is_judged else None
+            for k, is_judged in enumerate(judged)
         ],
         "difficulty": [
             [_bin(bins, judged) for bins in zip(*_curves(board, rows, run, axis), strict=True)]
@@ -143,7 +144,9 @@ def _interval(interval: Interval) -> list[float | None]:
     return [None if value is None else round(value, 2) for value in interval]
 
 
-def _surest(answers: Sequence[QueryResult], threshold_number: int) -> list[list[float]]:
+def _sample_risk_coverage(
+    answers: Sequence[QueryResult], threshold_number: int
+) -> list[list[float]]:
     """Return points (coverage, share of correct poses) in percent, most certain queries first."""
     curve = risk_coverage(answers, THRESHOLDS[threshold_number])
     chosen = np.unique(np.linspace(0, len(curve) - 1, _POINTS).round().astype(int))
@@ -160,7 +163,7 @@ def _curves(
 
 
 def _bin(thresholds: Sequence[Bin], judged: Sequence[bool]) -> list[Any]:
-    """Return the queries of a bin, then its recall at every threshold that is judged, or None."""
+    """Return the number of queries of a bin, then its recall at each judged threshold, or None."""
     recalls = [
         found.recall if is_judged else None
         for found, is_judged in zip(thresholds, judged, strict=True)

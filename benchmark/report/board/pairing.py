@@ -13,7 +13,7 @@ from typing import Any, Final
 from benchmark.report.board.runs import BoardRun
 from benchmark.results.results import Results
 
-# Options that are named in a reason; the rest is counted.
+# Largest number of options that a reason names; the rest is counted.
 _NAMED_OPTIONS: Final = 3
 
 

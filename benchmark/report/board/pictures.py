@@ -89,7 +89,7 @@ def keep_pictures(results: Sequence[Path], track: Path) -> list[Path]:
     board = read_board(track.resolve().name, track.resolve().parent)
     written = []
     for place in board.track.places:
-        names = _hardest(board, place.dataset)
+        names = _hardest_queries(board, place.dataset)
         for folder in results if names else ():
             album = read_album(folder / place.dataset / ALBUM, *place.renders)
             if album:
@@ -106,7 +106,7 @@ def keep_pictures(results: Sequence[Path], track: Path) -> list[Path]:
     return written
 
 
-def _hardest(board: TrackBoard, dataset: str) -> list[str]:
+def _hardest_queries(board: TrackBoard, dataset: str) -> list[str]:
     """Return the queries of a data set that most runs get wrong at 0.5 m 5°, most first."""
     wrong = {
         query.row.name: sum(
@@ -120,8 +120,8 @@ def _hardest(board: TrackBoard, dataset: str) -> list[str]:
 
 def _shrink_album(album: Album, names: Sequence[str]) -> Album:
     """Return the album of these queries alone, with small photographs and without points."""
-    kept = {name: album.entries[name] for name in names if name in album.entries}
-    neighbours = {entry.neighbour for entry in kept.values() if entry.neighbour is not None}
+    entries = {name: album.entries[name] for name in names if name in album.entries}
+    neighbours = {entry.neighbour for entry in entries.values() if entry.neighbour is not None}
     return Album(
         album.sha256,
         {
@@ -132,7 +132,7 @@ def _shrink_album(album: Album, names: Sequence[str]) -> Album:
                 truth=entry.truth[:0],
                 seen=entry.seen[:0],
             )
-            for name, entry in kept.items()
+            for name, entry in entries.items()
         },
         {
             name: replace(

@@ -46,8 +46,8 @@ class BoardQuery:
         dataset: name of its data set.
         row: its row in the track's list of queries.
         course: course that it was flown on, see ``benchmark.tracks.courses``.
-        same: whether its results say that its condition is the map's. Sessions of a track in which
-            something moved are under other conditions.
+        same: whether its condition in the results is a condition of the map. Sessions of a track in
+            which something moved are under other conditions.
         novelty: "seen", or one of ``UNSEEN`` if its track holds its condition or its preset out of
             training; None if the track holds out nothing.
     """
@@ -92,11 +92,11 @@ class BoardRun:
         return np.array([answer is not None for answer in self.answers], np.bool_)
 
     def answers_at(self, rows: NDArray[np.int64]) -> list[QueryResult]:
-        """Return the answers to the queries of these rows (K,), without those that have none."""
+        """Return the answers to the queries of these rows (K,), if they have one."""
         return [answer for row in rows if (answer := self.answers[row]) is not None]
 
     def unjudged(self, datasets: Collection[str]) -> tuple[str, ...]:
-        """Return the thresholds that the reference poses of any of these data sets do not judge.
+        """Return the thresholds for which reference poses of these data sets are too inexact.
 
         Data sets without results of this run are ignored.
         """
@@ -121,8 +121,8 @@ class TrackBoard:
         track: description of the track.
         queries: queries of all data sets that have results.
         runs: runs in the order of the track's starts and methods.
-        missing: sentences that say which start, method and data set have no results, and which
-            submissions are left out.
+        missing: sentences that name starts, methods and data sets without results, and submissions
+            that are left out.
         cards: what the authors of submissions state.
     """
 
@@ -146,8 +146,8 @@ class TrackBoard:
 def read_boards(folder: Path) -> list[TrackBoard]:
     """Read all tracks of a folder, ``FOLDER/<track>/track.yaml`` and what lies beside it.
 
-    Tracks with results come before those without, ``FIRST_TRACK`` before the others, and these in
-    the order of their names.
+    Tracks with results come before tracks without. In each group, ``FIRST_TRACK`` comes first, and
+    the others follow by name.
 
     Raises:
         InputError: there is no track, a file is damaged, or results are not of the track's data.
@@ -165,8 +165,8 @@ def read_board(name: str, tracks_folder: Path) -> TrackBoard:
     """Read one track.
 
     Combinations of start, method and data set without results are listed as missing. A method that
-    has results of only a few data sets is shown with the queries of these. A submission that is
-    damaged is left out, and listed there too.
+    has results of only a few data sets is shown with the queries of these. A damaged submission is
+    left out and listed as missing too.
 
     Raises:
         InputError: a file is damaged, results are of other data than the track names, or a query is
@@ -326,9 +326,9 @@ def _runs(
                 for answer in run.queries
             }
             if answers:
-                listed = tuple(_set_course(answers, query) for query in queries)
+                run_answers = tuple(_set_course(answers, query) for query in queries)
                 declared = any(run.method.is_external for run in results.values())
-                yield BoardRun(start, method, listed, declared, authors.get(method), results)
+                yield BoardRun(start, method, run_answers, declared, authors.get(method), results)
 
 
 def _set_course(

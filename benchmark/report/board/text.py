@@ -84,7 +84,7 @@ def board_markdown(boards: Sequence[TrackBoard], rows: Sequence[Sequence[Headlin
 
     Args:
         boards: the tracks.
-        rows: the figures of each of them.
+        rows: the figures of each track.
     """
     lines = [
         "# Leaderboard",

@@ -194,7 +194,7 @@ def test_poses_of_a_container_are_scored(
         ("true", r"the container wrote no poses.txt: it must write /output/poses.txt"),
         ("echo 'no such model' >&2; exit 3", r"ended with exit status 3: no such model"),
         ("exit 3", r"ended with exit status 3: it printed no reason"),
-        ("exit 137", r"was killed, as it is when it needs more than 16 GB: .*memory_gb"),
+        ("exit 137", r"was killed, as happens if it needs more than 16 GB: .*memory_gb"),
         ("echo 'docker: no space' >&2; exit 125", r"could not start the container: docker: no sp"),
         (
             'echo "a.jpg 1 0 0" > "$output/poses.txt"',

@@ -265,7 +265,7 @@ def test_a_licence_that_the_hub_does_not_know_is_refused(command: str, tmp_path:
     result = invoke(command, subject, "--out", tmp_path / "out", "--license", "NOPE")
     assert result.exit_code == 2
     (line,) = result.stderr.splitlines()
-    assert "license 'NOPE' is no SPDX identifier that the hub knows: give one of AFL-3.0," in line
+    assert "license 'NOPE' is no SPDX identifier that the hub accepts: give one of AFL-3.0," in line
     assert not (tmp_path / "out").exists()
 
 

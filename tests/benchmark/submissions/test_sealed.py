@@ -211,7 +211,9 @@ def test_a_scene_of_a_public_seed_and_layers_are_refused(hamlet: Path, tmp_path:
 
 def test_a_flight_is_not_sealed(tmp_path: Path) -> None:
     flight = write_flight(tmp_path / "meadow")
-    with pytest.raises(InputError, match="meadow cannot be sealed, because no key made its poses"):
+    with pytest.raises(
+        InputError, match="meadow cannot be sealed, because its poses do not depend on a key"
+    ):
         publish([flight], tmp_path / "public", sealed=True)
 
 
