@@ -123,15 +123,20 @@ def test_listing_names_loads_nothing_heavy() -> None:
 
 
 def test_opening_does_not_load_colmap() -> None:
-    """Neither the readers of data sets nor the formats that need no COLMAP do."""
+    """Neither the readers of data sets nor the formats that need no COLMAP do, nor the method.
+
+    COLMAP takes 60 MB, and a query with a prior needs nothing of it.
+    """
     code = """
 from pathlib import Path
 from benchmark.datasets.open import READERS, open_datasets
+from objconnect.methods import create
 from objconnect.scene.exports.export import export
 from objconnect.scene.exports.formats import FORMATS
 list(READERS.values())
 open_datasets(Path("benchmark/gate/gate"))
 [FORMATS.load(name) for name in ("nerfstudio", "tum", "hloc")]
+create("objconnect", {})
 """
     loaded = list_loaded_by(code)
     assert "objconnect" in loaded

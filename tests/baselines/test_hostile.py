@@ -78,11 +78,15 @@ def create_or_skip(method: str) -> Localizer:
         pytest.skip(f"{method} cannot be made: {error}")
 
 
+# They differ from ``sift`` in their features alone.
+LEARNED = ("d2net", *LIGHTGLUE)
+
+
 def mark_slow(method: str, slow: tuple[str, ...]) -> Any:
     return pytest.param(method, marks=pytest.mark.thorough) if method in slow else method
 
 
-@pytest.fixture(scope="module", params=[mark_slow(name, LIGHTGLUE) for name in LOOKING])
+@pytest.fixture(scope="module", params=[mark_slow(name, LEARNED) for name in LOOKING])
 def localizer(request: pytest.FixtureRequest, cache: Path) -> Localizer:
     """Every method, prepared on a sound map."""
     localizer = create_or_skip(request.param)
@@ -195,7 +199,7 @@ SEARCHING = ("objconnect", "pixloc-search")
 
 @pytest.mark.parametrize(
     "method",
-    [mark_slow(name, (*SEARCHING, *LIGHTGLUE)) for name in LOOKING],
+    [mark_slow(name, (*SEARCHING, *LEARNED)) for name in LOOKING],
 )
 @pytest.mark.parametrize(
     "spoiled",

@@ -26,8 +26,10 @@ from simulate.place.presets import PRESETS, preset
 from simulate.place.world import MAX_OBJECT_ID, World, rise
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import render
+from simulate.thermal.substances import SUBSTANCES, substance_name
 from tests.simulate.test_flights import pinhole
 from tests.simulate.test_town import flat
+from tests.simulate.towns import cached_place
 
 AREA = 180.0
 STREET_FURNITURE = {"lamp", "bin", "hydrant", "sign", "bollard"}
@@ -79,7 +81,7 @@ SECOND_SEED = [pytest.param((name, 2), marks=pytest.mark.thorough) for name in P
 @pytest.fixture(scope="module", params=[*((name, 1) for name in PRESETS), *SECOND_SEED])
 def place(request: pytest.FixtureRequest) -> tuple[str, World]:
     name, seed = request.param
-    return name, preset(name)(seed, AREA)
+    return name, cached_place(name, seed, AREA)
 
 
 def test_all_kinds_of_places_are_there():
@@ -156,11 +158,6 @@ def test_meshes_fill_their_boxes(place):
             assert vertices[:, 2].min() == pytest.approx(-half[2], abs=1e-3)
 
 
-@cache
-def cached_place(name):
-    return preset(name)(1, AREA)
-
-
 def lowest_above_ground(item, world):
     """Height (m) of the lowest points of an object near its four corners above the ground there."""
     vertices = individual_mesh(item, world).vertices
@@ -171,22 +168,35 @@ def lowest_above_ground(item, world):
     return feet[:, 2] + item.centre[2] - world.terrain.height(at[:, 0], at[:, 1])
 
 
+def test_every_surface_has_a_substance(place):
+    """Of all shapes and materials."""
+    _, world = place
+    looks = {
+        (o.class_name, o.shape, o.style and (o.style.facade, o.style.roofing)): o
+        for o in world.objects
+    }
+    for item in looks.values():
+        mesh = individual_mesh(item, world) or cached_shape(item.shape)
+        for material in {mesh.materials[k] for k in np.unique(mesh.material)}:
+            assert substance_name(material, item.class_name) in SUBSTANCES
+
+
 SIGNS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 
 
 def test_vehicles_lean_with_steep_ground_alone():
     """Each wheel of a car in an alpine village is on the ground; the box grows as it leans."""
-    steep = cached_place("alpine")
+    steep = cached_place("alpine", 1, AREA)
     vehicles = [o for o in steep.objects if o.class_name in VEHICLES]
     assert max(abs(o.slope[0]) for o in vehicles) > 0.1
     for item in vehicles:
         assert np.abs(lowest_above_ground(item, steep)).max() < 0.12
         assert item.size[2] == pytest.approx(item.height_m + rise(item.slope, item.size))
-    assert all(o.slope is None for o in cached_place("town").objects)
+    assert all(o.slope is None for o in cached_place("town", 1, AREA).objects)
 
 
 def test_moved_vehicles_lean_with_the_ground_at_their_new_place():
-    base = cached_place("alpine")
+    base = cached_place("alpine", 1, AREA)
     changed = change_world(base, Change(cars_moved=1.0, seed=1))
     moved = {new for _, new in changed.declared.moved}
     vehicles = [o for o in changed.world.objects if o.id in moved]
@@ -211,7 +221,7 @@ ALIASED = {
 
 @pytest.mark.parametrize("name", ALIASED)
 def test_what_repeats_is_equal_all_over_a_place(name: str) -> None:
-    one, other = (ALIASED[name](preset(name)(seed, 120.0)) for seed in (1, 3))
+    one, other = (ALIASED[name](cached_place(name, seed, 120.0)) for seed in (1, 3))
     assert min(len(one), len(other)) >= 10
     assert all(item == one[0] for item in one)
     assert all(item == other[0] for item in other)
@@ -233,7 +243,7 @@ def test_trees_of_an_orchard_stand_at_equal_distances() -> None:
 
 def test_containers_are_stacked() -> None:
     """A stack is one object; the box is a whole number of containers high."""
-    stacks = [o for o in preset("containers")(1, 120.0).objects if o.class_name == "container"]
+    stacks = [o for o in cached_place("containers", 1, AREA).objects if o.class_name == "container"]
     high = np.array([o.size[2] for o in stacks]) / CONTAINER_M["container"][2]
     assert_allclose(high, np.round(high))
     assert len(set(np.round(high))) >= 3

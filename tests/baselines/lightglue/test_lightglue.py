@@ -77,6 +77,17 @@ def extractor(localizer: StructureLocalizer) -> KorniaExtractor:
     return localizer._extractor
 
 
+# ALIKED alone in the default part, where both have the code that is tested in common.
+QUICK_ALONE = pytest.mark.parametrize(
+    "localizer",
+    [
+        name if name == "aliked+lightglue" else pytest.param(name, marks=pytest.mark.thorough)
+        for name in LIGHTGLUE
+    ],
+    indirect=True,
+)
+
+
 def test_a_photograph_of_the_map_is_known_again(localizer: Localizer) -> None:
     estimate = localizer.localize(QUERY)
     assert estimate.status is Status.OK, estimate.reason
@@ -88,6 +99,7 @@ def test_a_photograph_of_the_map_is_known_again(localizer: Localizer) -> None:
     assert set(estimate.seconds) == {"features", "retrieval", "matching", "pose"}
 
 
+@QUICK_ALONE
 def test_a_query_is_turned_where_its_heading_is_unknown(localizer: Localizer) -> None:
     """Its picture on its side, and nobody knows; no photograph of the map has this heading."""
     rgb = np.ascontiguousarray(np.rot90(QUERY.image, 1))
@@ -102,6 +114,7 @@ def test_a_query_is_turned_where_its_heading_is_unknown(localizer: Localizer) ->
     assert float(away.norm()) < 0.5
 
 
+@QUICK_ALONE
 def test_answers_repeat(localizer: StructureLocalizer, cache: Path) -> None:
     other = create(localizer.name, localizer.config.model_dump())
     other.prepare(MAP, DATASET.images, cache)
@@ -112,6 +125,7 @@ def test_answers_repeat(localizer: StructureLocalizer, cache: Path) -> None:
     assert other.weights_sha256 == localizer.weights_sha256
 
 
+@QUICK_ALONE
 def test_what_cannot_be_localized_has_a_reason(localizer: Localizer) -> None:
     noise = np.random.default_rng(0).integers(0, 256, QUERY.image.shape, dtype=np.uint8)
     for image in (np.zeros_like(QUERY.image), noise):
@@ -146,6 +160,7 @@ def test_the_first_pixel_s_centre_is_half_a_pixel_from_the_edge() -> None:
     assert set((found.xy % 1).ravel().tolist()) == {0.5}
 
 
+@QUICK_ALONE
 def test_a_turned_picture_gives_pixels_of_the_photograph(extractor: KorniaExtractor) -> None:
     straight = extractor.extract_warped(QUERY.image, QUERY.camera, 0.0).xy
     turned = extractor.extract_warped(QUERY.image, QUERY.camera, 0.2, 1.1).xy
@@ -155,6 +170,7 @@ def test_a_turned_picture_gives_pixels_of_the_photograph(extractor: KorniaExtrac
     assert ((turned > 0) & (turned < size)).all()
 
 
+@QUICK_ALONE
 def test_the_strongest_keypoints_are_kept(extractor: KorniaExtractor) -> None:
     made = type(extractor)
     config = extractor._config.model_copy(update={"max_features": 100})

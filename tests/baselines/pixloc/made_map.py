@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,13 @@ def photograph(pose: Pose, camera: Camera = CAMERA) -> NDArray[np.uint8]:
     return np.asarray((255 * shades).astype(np.uint8))
 
 
+@cache
+def _photographs(camera: Camera) -> list[tuple[Pose, Image.Image]]:
+    """Five photographs 6 m apart and their poses, computed once in a process."""
+    poses = [looking_down(6.0 * number, 0.5 * (number % 2)) for number in range(5)]
+    return [(pose, Image.fromarray(photograph(pose, camera))) for pose in poses]
+
+
 def write_map(images: Path, camera: Camera = CAMERA) -> SparseMap:
     """Five photographs 6 m apart, and the points of a grid that they see."""
     x, y = np.meshgrid(np.arange(-12, 37, 0.8), np.arange(-10, 11, 0.8))
@@ -60,9 +68,9 @@ def write_map(images: Path, camera: Camera = CAMERA) -> SparseMap:
     xyz = torch.stack([x, y, height(x, y)], -1).numpy()
     posed, tracks = {}, np.zeros(len(xyz), np.int64)
     images.mkdir()
-    for number in range(5):
-        name, pose = f"{number}.png", looking_down(6.0 * number, 0.5 * (number % 2))
-        Image.fromarray(photograph(pose, camera)).save(images / name)
+    for number, (pose, picture) in enumerate(_photographs(camera)):
+        name = f"{number}.png"
+        picture.save(images / name)
         projected = camera.project(pose.transform(torch.from_numpy(xyz)))
         rows = np.flatnonzero((projected.valid & camera.contains(projected.xy)).numpy())
         tracks[rows] += 1

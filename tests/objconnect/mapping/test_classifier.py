@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from objconnect.mapping.supplement.classifier import (
 )
 from objconnect.mapping.supplement.learning import (
     TrainingData,
+    main,
     read_training_data,
     report,
     train_classifier,
@@ -72,17 +72,14 @@ def test_a_judge_of_other_figures_is_refused(tmp_path: Path) -> None:
     assert read_weights(SHIPPED).config == {"figures": NUM_FIGURES}
 
 
-def test_scenes_that_are_none_are_one_line(tmp_path: Path) -> None:
-    command = [
-        sys.executable,
-        "-m",
-        "objconnect.mapping.supplement.learning",
-        str(tmp_path / "none"),
-    ]
+def test_scenes_that_are_none_are_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "judge.safetensors"
-    ended = subprocess.run(
-        [*command, "--out", str(out)], capture_output=True, text=True, check=False
-    )
-    assert ended.returncode == 2
-    assert ended.stderr.startswith("error: ") and ended.stderr.count("\n") == 1
+    monkeypatch.setattr(sys, "argv", ["learning", str(tmp_path / "none"), "--out", str(out)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: ") and said.count("\n") == 1
     assert not out.exists()

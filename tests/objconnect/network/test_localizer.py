@@ -22,7 +22,6 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import By, Localizer, Prior, Query, Status
 from tests.baselines.pixloc.made_map import CAMERA, looking_down, photograph, write_map
-from tests.programs import run_and_print
 
 TRUTH = looking_down(9.3, -0.4, (1.5, -1.0, 4.0))
 
@@ -120,13 +119,6 @@ def test_without_an_attitude(localizer: Localizer) -> None:
     assert estimate.cam_from_world is not None
     metres, degrees = estimate.cam_from_world.error_to(truth)
     assert metres < 0.1 and degrees < 0.25
-
-
-def test_pycolmap_is_not_imported_before_it_is_needed() -> None:
-    """It takes 60 MB, and a query with a prior needs nothing of it."""
-    code = "from objconnect.methods import create; import sys; create('objconnect', {})\n"
-    code += "print('pycolmap' in sys.modules)"
-    assert run_and_print(code).strip() == "False"
 
 
 def test_options_without_effect_are_refused_or_recorded_as_off(

@@ -11,7 +11,11 @@ from scipy.stats import chi2
 from torch import Tensor
 
 from objconnect.localization.align.aligner import Alignment, align
-from objconnect.localization.align.covariance import covariance, measure_uncertainty
+from objconnect.localization.align.covariance import (
+    PoseUncertainty,
+    covariance,
+    measure_uncertainty,
+)
 from objconnect.localization.align.linearise import linearise
 from objconnect.localization.align.local_frame import LocalProblem
 from objconnect.localization.align.options import Options
@@ -100,6 +104,12 @@ def cluttered() -> tuple[Problem, Pose, Alignment, NDArray[np.float64]]:
     return problem, poses, align(problem), shares
 
 
+@pytest.fixture(scope="module")
+def spread(cluttered: tuple[Problem, Pose, Alignment, NDArray[np.float64]]) -> PoseUncertainty:
+    problem, _, found, _ = cluttered
+    return measure_uncertainty(problem, found.pose)
+
+
 def square_slopes(picture: NDArray[np.float32]) -> float:
     return sum(float(np.square(each).mean()) for each in np.gradient(picture, axis=(1, 2)))
 
@@ -110,19 +120,18 @@ def nees(errors: Tensor, covariances: Tensor) -> NDArray[np.float64]:
 
 
 def test_covers_where_the_query_shows_what_the_map_does_not_know(
-    cluttered: tuple[Problem, Pose, Alignment, NDArray[np.float64]],
+    cluttered: tuple[Problem, Pose, Alignment, NDArray[np.float64]], spread: PoseUncertainty
 ) -> None:
-    problem, truth, found, shares = cluttered
+    _, truth, found, shares = cluttered
     assert not found.has_failed.any()
     errors = (found.pose @ truth.inverse()).log()
-    around = measure_uncertainty(problem, found.pose)
     # Mean slopes of the picture tell how much of the curvature is the place's.
-    assert float(around.curvature.mean()) == pytest.approx(shares.mean(), rel=0.4)
-    values = nees(errors, around.covariance)
+    assert float(spread.curvature.mean()) == pytest.approx(shares.mean(), rel=0.4)
+    values = nees(errors, spread.covariance)
     assert 4.5 < values.mean() < 8
     assert np.mean(values < chi2.ppf(0.95, 6)) > 0.8
     # Half of the covariance, and that of Gauss and Newton, are found too small.
-    assert nees(errors, around.covariance / 2).mean() > 8
+    assert nees(errors, spread.covariance / 2).mean() > 8
     assert nees(errors, found.covariance).mean() > 30
 
 
@@ -170,16 +179,16 @@ def test_shrunk_covariances_lie_between_the_sandwich_and_independent_residuals(
 
 
 def test_level_is_the_mean_of_the_sandwich_and_known_from_the_patches_that_pull(
-    cluttered: tuple[Problem, Pose, Alignment, NDArray[np.float64]],
+    cluttered: tuple[Problem, Pose, Alignment, NDArray[np.float64]], spread: PoseUncertainty
 ) -> None:
     problem, _, found, _ = cluttered
-    here = measure_uncertainty(problem, found.pose)
     around = linearise_plainly(problem.starting_at(found.pose), problem.options)
     sandwich = covariance(around) @ around.hessian.double()
     torch.testing.assert_close(
-        here.scatter_level, sandwich.diagonal(dim1=-2, dim2=-1).mean(-1), rtol=1e-4, atol=0
+        spread.scatter_level, sandwich.diagonal(dim1=-2, dim2=-1).mean(-1), rtol=1e-4, atol=0
     )
-    assert (here.effective_patches > 1).all() and (here.effective_patches < here.patches).all()
+    assert (spread.effective_patches > 1).all()
+    assert (spread.effective_patches < spread.patches).all()
     # Another scale of the features is one of the level alone.
     levels = [
         replace(each, features=3 * each.features, reference=3 * each.reference)
@@ -188,8 +197,10 @@ def test_level_is_the_mean_of_the_sandwich_and_known_from_the_patches_that_pull(
     scale = 3 * problem.options.robust_scale
     options = replace(problem.options, robust_scale=scale)
     scaled = measure_uncertainty(replace(problem, levels=levels, options=options), found.pose)
-    torch.testing.assert_close(scaled.scatter_level, 9 * here.scatter_level, rtol=1e-2, atol=0)
-    torch.testing.assert_close(scaled.effective_patches, here.effective_patches, rtol=1e-2, atol=0)
+    torch.testing.assert_close(scaled.scatter_level, 9 * spread.scatter_level, rtol=1e-2, atol=0)
+    torch.testing.assert_close(
+        scaled.effective_patches, spread.effective_patches, rtol=1e-2, atol=0
+    )
 
 
 def test_where_the_grid_of_patches_begins_does_not_matter(

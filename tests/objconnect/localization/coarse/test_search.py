@@ -168,7 +168,10 @@ def test_cells_take_the_median_height_of_their_points() -> None:
     assert np.isfinite(ground_grid(hole, 4.0).heights).all()
 
 
-@pytest.mark.parametrize(("tilt", "heading"), [(23.0, 47.0), (38.0, -100.0)])
+@pytest.mark.parametrize(
+    ("tilt", "heading"),
+    [(23.0, 47.0), pytest.param(38.0, -100.0, marks=pytest.mark.thorough)],
+)
 def test_a_tilted_camera_is_found_between_the_tilts_and_headings_that_are_tried(
     mosaic: Mosaic, tilt: float, heading: float
 ) -> None:

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,14 +29,15 @@ from tests.objconnect.localization.align.problems import DAMPING, small
 from tests.objconnect.localization.align.world import PINHOLE
 
 
-@pytest.fixture
-def problems(tmp_path: Path) -> ProblemBuilder:
+@pytest.fixture(scope="module")
+def problems(tmp_path_factory: pytest.TempPathFactory) -> ProblemBuilder:
     """Builds problems of a made map of five photographs."""
-    network = read_network(write_network(tmp_path / "pixloc.safetensors"))[0]
+    folder = tmp_path_factory.mktemp("problems")
+    network = read_network(write_network(folder / "pixloc.safetensors"))[0]
     extract = MapExtractor(network, 1024, "float32")
-    images = tmp_path / "images"
+    images = folder / "images"
     sparse_map = write_map(images)
-    kept = MapCache.of(sparse_map, images, tmp_path)
+    kept = MapCache.of(sparse_map, images, folder)
     observations = load_references(ReferenceSource(kept, extract, "key", "pixloc", 2000), 2**20)
     damping = [factors().detach() for factors in network.damping]
     return ProblemBuilder(extract, observations, sparse_map.centres, damping, Options())
