@@ -167,7 +167,7 @@ def test_objects_connect_as_on_the_processor() -> None:
         graph = test_object_matching.graph(layers=1).to(device)
         connect = ObjectMatcher(graph, landmarks, test_landmarks.GROUND)
         camera, attitudes = test_landmarks.CAMERA, [test_landmarks.DOWN]
-        candidates = connect(view.found, camera, attitudes, test_object_matching.ANY)
+        candidates = connect(view.detections, camera, attitudes, test_object_matching.ANY)
         return [candidate.pose.matrix() for candidate in candidates]
 
     here = run_connector("cpu")
