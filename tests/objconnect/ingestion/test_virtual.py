@@ -194,7 +194,7 @@ def test_a_white_rim_is_told(files: dict[str, tuple[Path, Path]], tmp_path: Path
         file.write(values)
     few = ViewOptions(altitude=30, overlap=0.0, size=64)
     report = photograph_orthophoto(tmp_path / "white.tif", dsm, tmp_path / "out", options=few)
-    assert "% of the pixels are white, also at the edge" in report.notes[0]
+    assert "% of the pixels are white, and white pixels lie at the edge" in report.notes[0]
     report = photograph_orthophoto(ortho, dsm, tmp_path / "plain", options=few)
     assert "white" not in report.text()
 
