@@ -121,9 +121,9 @@ def add_photographs(
         camera: calibration of the new photographs.
 
     Raises:
-        InputError: no photograph is new, can be read or fits the map; the scene is unfinished,
-            has no map or was changed; ``out`` is in the scene, holds other files, cannot be written
-            or is being written by another run.
+        InputError: none of the photographs is new, readable and matched to the map; the scene is
+            unfinished, has no map or was changed; ``out`` is in the scene, holds other files,
+            cannot be written or is being written by another run.
     """
     if scene.resolve() in (out.resolve(), *out.resolve().parents):
         raise InputError(f"{out} lies in the scene {scene}: choose a folder outside it")
@@ -252,7 +252,7 @@ def _copy_sessions(base: Scene, out: Path) -> None:
 
 
 def _read_known_map(base: Scene) -> KnownMap:
-    """Return the map of a scene, with the frames' exact poses where the map's only round them."""
+    """Return the map of a scene, with the exact poses of frames whose map poses were rounded."""
     sparse_map, features = read_map_features(base)
     exact: dict[str, Array] = {}
     for session in base.sessions:

@@ -31,7 +31,8 @@ CANDIDATES: Final = 5
 """Default maximum number of candidate poses of a photograph."""
 # Number of the most similar landmarks that an object is matched with.
 _SIMILAR: Final = 24
-# Maximum numbers of similarities, which bounds memory, and of hypotheses that are rated at once.
+# Hypotheses are rated in batches of at most ``_BATCH``, with at most ``_BATCH_SIMILARITIES``
+# similarities, which bounds memory.
 _BATCH_SIMILARITIES: Final = 4_000_000
 _BATCH: Final = 8
 # Maximum number of hypotheses of all attitudes that the graph rates, which bounds time.
@@ -117,9 +118,10 @@ class ObjectMatcher:
         return [self._refine(each, found, camera, likeness) for each in kept]
 
     def _rate(self, tried: _Hypotheses, least: NDArray[np.float64]) -> _Hypotheses:
-        """Return the hypotheses of at least a score, with the graph's ratios added to the scores.
+        """Return the hypotheses whose score is at least ``least``.
 
-        The graph's sharpness turns cosines into logarithms of likelihoods.
+        The log-likelihood ratios of the graph network are added to their scores. Cosines times
+        the sharpness of the graph network (its logit scale) are log likelihoods.
         """
         rows = np.flatnonzero(tried.scores >= least)
         layout, poses, scores = tried.layout, tried.poses.select(rows), tried.scores[rows]

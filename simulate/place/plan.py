@@ -39,9 +39,9 @@ class Quarter:
     """The use of the blocks of a place, or of one part of it.
 
     The blocks nearest the centre get the uses in ``first``, one each, so that small places have
-    these uses too. Of the other blocks, a share ``open_share`` is open land, or at least 92 % more
-    than 600 m from the centre. The uses of the rest are drawn from ``uses`` by weight. ``name`` is
-    the name of the part of a place with several parts.
+    these uses too. Of the other blocks, a share ``open_share`` is open land; beyond 600 m from the
+    centre, the share is at least 92 %. The uses of the rest are drawn from ``uses`` by weight.
+    ``name`` is the name of the part of a place with several parts.
     """
 
     first: tuple[Use, ...]

@@ -1,4 +1,4 @@
-"""Read and write the places of sites, which rendering processes load from disk."""
+"""Write the world of a real site to a file, and read it in rendering processes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.storage.atomic import atomic_write
 from simulate.place.world import Ground, Heightfield, Imagery, World
 
-_NEUTRAL_TONE: Final = 128  # value of ``Ground.tone``, because sites have no parcels
+_NEUTRAL_TONE: Final = 128  # ``Ground.tone`` distinguishes regions, and sites have none
 
 
 def make_ground(labels: NDArray[np.uint8], texel_m: float) -> Ground:

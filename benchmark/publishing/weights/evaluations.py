@@ -87,7 +87,7 @@ def figures(evaluations: Sequence[Evaluation]) -> str:
             "",
             *_table(evaluations),
             "",
-            "The command of a row, with the options of its file added by `--set`:",
+            "To repeat a row, run this command with the options of its file, given by `--set`:",
             "",
             "```sh",
             "objconnect evaluate DATASET --method METHOD --set weights=FOLDER --start START "

@@ -49,14 +49,14 @@ def descend(
     steps = torch.zeros(len(active), dtype=torch.long, device=active.device)
     factor = torch.ones_like(steps, dtype=torch.float64)[:, None]
     state = State(pose, linearisation, steps, factor)
-    number = torch.arange(len(active), device=active.device)
+    rows = torch.arange(len(active), device=active.device)
     finished: list[tuple[Tensor, State]] = []
     for _ in range(options.iterations):
         active = active & can_step(state.linearisation, options.min_points)
         if not bool(active.all()):
-            finished.append((number[~active], select(state, ~active)))
-            number, state, cost = number[active], select(state, active), cost.select(active)
-        if not len(number):
+            finished.append((rows[~active], select(state, ~active)))
+            rows, state, cost = rows[active], select(state, active), cost.select(active)
+        if not len(rows):
             break
         current = state.linearisation
         step = solve_step(current.gradient, current.hessian, damping * state.damping_factor)
@@ -71,9 +71,9 @@ def descend(
             state = replace(state, damping_factor=factor)
             active = ~_is_small(step, options)
         else:
-            state, active = trial, torch.ones_like(number, dtype=torch.bool)
-    finished.append((number, state))
-    order = torch.cat([numbers for numbers, _ in finished]).argsort()
+            state, active = trial, torch.ones_like(rows, dtype=torch.bool)
+    finished.append((rows, state))
+    order = torch.cat([done_rows for done_rows, _ in finished]).argsort()
     states = [each for _, each in finished]
     return tree_map(lambda *parts: torch.cat(parts)[order], *states)
 
