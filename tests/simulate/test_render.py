@@ -242,7 +242,7 @@ def test_only_missing_frames_are_rendered_again_and_come_out_the_same(summer):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(
-    "limit", [("FRAMES_PER_PROCESS", 1), ("_MAY_GROW_BYTES", 0)], ids=["frames", "memory"]
+    "limit", [("FRAMES_PER_PROCESS", 1), ("_MAX_GROWTH_BYTES", 0)], ids=["frames", "memory"]
 )
 def test_a_process_that_ends_early_is_followed_by_another(summer, tmp_path, monkeypatch, limit):
     monkeypatch.setattr(simulate.render.pool, *limit)
