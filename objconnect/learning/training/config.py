@@ -35,8 +35,8 @@ class TrainConfig(Config):
         0.3,
         ge=0,
         le=1,
-        description="Share of the pairs that are made of these photographs during the warm-up. "
-        "After the warm-up it is half as large.",
+        description="Share of the pairs that are made of these photographs. It is halved after the "
+        "warm-up; if ``warm_up`` is 0, it is never halved.",
     )
     warm_up: float = Field(
         0.35,
