@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from objconnect.mapping.supplement.triangulation import Detections
+from objconnect.mapping.supplement.association import Detections
 from objconnect.network.network import ObjConnectNet
 from objconnect.network.objects import Objects
 from objconnect.network.segmentation import NOTHING, Labels, sample_pixels

@@ -1,4 +1,4 @@
-"""Options of ``supplement``: triangulation of detections."""
+"""Options of ``supplement``: association and triangulation of detections."""
 
 from __future__ import annotations
 
@@ -8,8 +8,25 @@ from objconnect.scene.config import Config
 
 
 class SupplementConfig(Config):
-    """Thresholds of triangulation."""
+    """Thresholds of association and triangulation."""
 
+    neighbours: int = Field(
+        12,
+        ge=1,
+        description="Number of photographs with which each one is compared, those that share the "
+        "most map points.",
+    )
+    epipolar_px: float = Field(
+        2.0,
+        gt=0,
+        description="Maximum epipolar error of two detections of one object, px.",
+    )
+    similarity: float = Field(
+        0.8,
+        ge=-1,
+        le=1,
+        description="Minimum cosine similarity of descriptors of one object, -1 to 1.",
+    )
     reprojection_px: float = Field(
         2.0, gt=0, description="Maximum reprojection error of a point's detection, px."
     )

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from objconnect.mapping.supplement.triangulation import Detections, TriangulatedPoint
+from objconnect.mapping.supplement.association import Detections
+from objconnect.mapping.supplement.triangulation import TriangulatedPoint
 from objconnect.scene.bundle.manifest import write_json
 from objconnect.scene.bundle.scene import MAP_FILES, Scene, finish_scene
 from objconnect.scene.bundle.supplement import (
@@ -41,7 +42,7 @@ def add_to_map(
 
     Args:
         path: finished scene with a map.
-        points: results of ``triangulation.triangulate``; each becomes one object.
+        points: results of ``associate_and_triangulate``; each becomes one object.
         detections: detections from which the points were lifted.
         map_sha256: digest of the map to which the points belong; None skips the check.
 

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from objconnect.mapping.supplement.association import Detections
 from objconnect.mapping.supplement.blobs import Blobs, find_blobs
 from objconnect.mapping.supplement.classifier import PointClassifier, measure
 from objconnect.mapping.supplement.config import SupplementConfig
@@ -21,7 +22,7 @@ from objconnect.mapping.supplement.tracks import (
     follow_blobs,
     refine_tracks,
 )
-from objconnect.mapping.supplement.triangulation import Detections, TriangulatedPoint, triangulate
+from objconnect.mapping.supplement.triangulation import TriangulatedPoint, triangulate
 from objconnect.network.network import ObjConnectNet
 from objconnect.network.segmentation import Labels
 from objconnect.scene.errors import InputError

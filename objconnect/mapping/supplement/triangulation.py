@@ -9,29 +9,18 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from objconnect.mapping.supplement.association import Detections, Pairs, associate, directions
 from objconnect.mapping.supplement.config import SupplementConfig
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
+from objconnect.scene.runtime.progress import progress_bar
 
 # Maximum iterations of Gauss-Newton; two or three are enough from a linear solution.
 _ROUNDS = 10
 _CONVERGED_M = 1e-6
 # Minimum number of rays of a point.
 _MIN_RAYS = 2
-
-
-@dataclass(frozen=True)
-class Detections:
-    """Detected centres of objects in one photograph.
-
-    Attributes:
-        xy: positions (K, 2), COLMAP pixels.
-        descriptors: descriptors (K, D) of unit length.
-        confidence: confidence (K,), 0 to 1.
-    """
-
-    xy: NDArray[np.float64]
-    descriptors: NDArray[np.float32]
-    confidence: NDArray[np.float64]
+# Number of proposals compared with the detections of a photograph at once.
+_CHUNK = 4096
 
 
 @dataclass(frozen=True)
@@ -51,6 +40,57 @@ class TriangulatedPoint:
     error_px: float
     angle_deg: float
     confidence: float
+
+
+def associate_and_triangulate(
+    sparse_map: SparseMap, detections: Mapping[str, Detections], config: SupplementConfig
+) -> list[TriangulatedPoint]:
+    """Associate detections across photographs and triangulate them with known poses.
+
+    Every pair of detections proposes a point. Detections near its projection and similar to the
+    pair support it. Points are accepted in descending order of support, and triangulated again from
+    all their detections. Each detection is used once.
+
+    Args:
+        sparse_map: map with the poses, which are not changed.
+        detections: detections by name of the photograph.
+        config: thresholds.
+
+    Returns:
+        Points in the order in which they were accepted.
+    """
+    pairs = associate(sparse_map, detections, config)
+    proposals = _propose(sparse_map, detections, pairs)
+    members = _find_support(sparse_map, detections, pairs, proposals, config)
+    order = np.argsort(-(members >= 0).sum(1), kind="stable")
+    is_used = {name: np.zeros(len(detected.xy), bool) for name, detected in detections.items()}
+    points = []
+    for proposal in order.tolist():
+        rows = {
+            name: int(row)
+            for name, row in zip(sparse_map.names, members[proposal], strict=True)
+            if row >= 0 and not is_used[name][row]
+        }
+        point = triangulate(sparse_map, detections, rows, config)
+        if point is not None:
+            points.append(point)
+            for name, row in point.rows.items():
+                is_used[name][row] = True
+    return points
+
+
+def _propose(
+    sparse_map: SparseMap, detections: Mapping[str, Detections], pairs: Pairs
+) -> NDArray[np.float64]:
+    """Triangulate each pair of detections, (E, 3)."""
+    rows, poses = np.zeros((len(pairs), 2, 2)), np.zeros((len(pairs), 2, 3, 4))
+    for view, name in enumerate(sparse_map.names):
+        is_in_view = pairs.views == view
+        if is_in_view.any():
+            image = sparse_map.images[name]
+            rows[is_in_view] = _normalise(image, detections[name].xy)[pairs.rows[is_in_view]]
+            poses[is_in_view] = image.cam_from_world[:3]
+    return triangulate_linearly(rows, poses)
 
 
 def triangulate_linearly(
@@ -73,6 +113,54 @@ def triangulate_linearly(
     solution = np.linalg.svd(system)[2][..., -1, :]
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(solution[..., :3] / solution[..., 3:])
+
+
+def _find_support(
+    sparse_map: SparseMap,
+    detections: Mapping[str, Detections],
+    pairs: Pairs,
+    proposals: NDArray[np.float64],
+    config: SupplementConfig,
+) -> NDArray[np.int64]:
+    """Return the detection at the projection of each proposal, -1 for none, (E, N)."""
+    members = np.full((len(pairs), len(sparse_map.names)), -1)
+    mean_descriptors = _mean_descriptors(sparse_map, detections, pairs)
+    with progress_bar("support", len(sparse_map.names)) as advance:
+        for view, name in enumerate(sparse_map.names):
+            detected = detections.get(name)
+            if detected is not None and len(detected.xy):
+                image = sparse_map.images[name]
+                local = image.pose.transform(torch.from_numpy(proposals))
+                projected = image.camera.project(local)
+                for start in range(0, len(pairs), _CHUNK):
+                    part = slice(start, start + _CHUNK)
+                    distance = torch.cdist(
+                        projected.xy[part], torch.from_numpy(detected.xy)
+                    ).numpy()
+                    similarity = mean_descriptors[part] @ detected.descriptors.T
+                    is_out = (similarity < config.similarity) | ~projected.valid[part].numpy()[
+                        :, None
+                    ]
+                    distance[is_out] = np.inf
+                    near = distance.min(1) < config.reprojection_px
+                    members[part, view] = np.where(near, distance.argmin(1), -1)
+            advance(view + 1)
+    return members
+
+
+def _mean_descriptors(
+    sparse_map: SparseMap, detections: Mapping[str, Detections], pairs: Pairs
+) -> NDArray[np.float32]:
+    """Return the mean descriptor (E, D) of each pair, of unit length."""
+    width = max((detected.descriptors.shape[1] for detected in detections.values()), default=0)
+    total = np.zeros((len(pairs), width), np.float32)
+    for view, name in enumerate(sparse_map.names):
+        for side in range(2):
+            is_in_view = pairs.views[:, side] == view
+            if is_in_view.any():
+                total[is_in_view] += detections[name].descriptors[pairs.rows[is_in_view, side]]
+    length = np.linalg.norm(total, axis=1, keepdims=True).clip(1e-12)
+    return np.asarray(total / length, np.float32)
 
 
 def triangulate(
@@ -153,10 +241,3 @@ def _residuals(
 def _normalise(image: MapImage, xy: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return x/z and y/z of pixels (K, 2)."""
     return np.asarray(image.camera.unproject(torch.from_numpy(xy))[0][..., :2])
-
-
-def directions(image: MapImage, xy: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rays (K, 3) of pixels (K, 2), unit vectors in the world; NaN without a ray."""
-    rays, valid = image.camera.unproject(torch.from_numpy(xy))
-    world = torch.nn.functional.normalize(rays, dim=-1).numpy() @ image.cam_from_world[:3, :3]
-    return np.where(valid.numpy()[:, None], world, np.nan)

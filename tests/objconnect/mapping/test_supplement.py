@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from objconnect.mapping.supplement.config import SupplementConfig
 from objconnect.mapping.supplement.map import add_to_map, remove_from_map
 from objconnect.mapping.supplement.triangulation import (
     TriangulatedPoint,
+    associate_and_triangulate,
     triangulate_linearly,
 )
 from objconnect.scene.bundle.scene import Scene
@@ -22,7 +24,7 @@ from objconnect.scene.maps.colmap_files import read_model
 from objconnect.scene.maps.features import read_features
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.storage.digests import sha256_of
-from tests.objconnect.network.oracle import detect_known
+from tests.objconnect.network.oracle import detections
 
 CONFIG = SupplementConfig()
 
@@ -47,39 +49,55 @@ def test_linear_points_are_exact() -> None:
     np.testing.assert_allclose(triangulate_linearly(normalised, poses), xyz, atol=1e-8)
 
 
-def test_exact_detections_give_the_centres(rendered: Scene) -> None:
-    points = detect_known(rendered).triangulate(rendered)
+def test_exact_detections_are_lifted_to_their_centres(rendered: Scene) -> None:
+    found = detections(rendered)
+    points = associate_and_triangulate(rendered.sparse_map(), found, CONFIG)
     assert len(points) > 10
     assert distances(rendered, points).max() < 1e-6
+    # No detection makes two points, and each point is seen often enough.
+    used = [(name, row) for point in points for name, row in point.rows.items()]
+    assert len(used) == len(set(used))
     assert min(len(point.rows) for point in points) >= CONFIG.views
     assert min(point.angle_deg for point in points) >= CONFIG.angle_deg
 
 
-def test_noise_moves_points_little(rendered: Scene) -> None:
-    exact = len(detect_known(rendered).triangulate(rendered))
-    points = detect_known(rendered, noise_px=0.4).triangulate(rendered)
+def test_noise_and_false_detections_move_points_little(rendered: Scene) -> None:
+    exact = len(associate_and_triangulate(rendered.sparse_map(), detections(rendered), CONFIG))
+    found = detections(rendered, noise_px=0.4, blur=0.3, outliers=6)
+    points = associate_and_triangulate(rendered.sparse_map(), found, CONFIG)
+    off = distances(rendered, points)
     assert len(points) >= 0.8 * exact
-    assert (distances(rendered, points) < 0.5).mean() > 0.9
+    assert (off < 0.5).mean() > 0.9
     assert all(point.error_px < CONFIG.reprojection_px for point in points)
 
 
-def test_a_detection_elsewhere_is_dropped(rendered: Scene) -> None:
-    found = detect_known(rendered)
-    points = {len(point.rows): point for point in found.triangulate(rendered)}
-    count, point = max(points.items())
-    assert count > CONFIG.views
-    name, row = next(iter(point.rows.items()))
-    found.detections[name].xy[row] += 3
-    moved = [each for each in found.triangulate(rendered) if set(each.rows) <= set(point.rows)]
-    again = [each for each in moved if np.linalg.norm(each.xyz - point.xyz) < 0.5]
-    assert [set(each.rows) for each in again] == [set(point.rows) - {name}]
+def test_what_looks_different_or_lies_elsewhere_is_not_one_object(rendered: Scene) -> None:
+    sparse_map, found = rendered.sparse_map(), detections(rendered)
+    rng = np.random.default_rng(1)
+
+    unlike = np.eye(400, dtype=np.float32)
+    strangers = {
+        name: replace(item, descriptors=unlike[7 * k :][: len(item.xy)] * (k % 2 or -1))
+        for k, (name, item) in enumerate(found.items())
+    }
+    assert len(associate_and_triangulate(sparse_map, strangers, CONFIG)) < 3
+    shuffled = {
+        name: replace(item, xy=rng.uniform(0, 320, item.xy.shape)) for name, item in found.items()
+    }
+    assert len(associate_and_triangulate(sparse_map, shuffled, CONFIG)) < 0.2 * len(
+        centres_of(rendered)
+    )
+    assert associate_and_triangulate(sparse_map, {}, CONFIG) == []
+    assert associate_and_triangulate(sparse_map, dict(list(found.items())[:2]), CONFIG) == []
 
 
 def test_rays_that_hardly_cross_make_no_point(rendered: Scene) -> None:
-    found = detect_known(rendered)
-    points = found.triangulate(rendered)
+    found = detections(rendered)
+    points = associate_and_triangulate(rendered.sparse_map(), found, CONFIG)
     widest = float(np.median([point.angle_deg for point in points]))
-    stricter = found.triangulate(rendered, SupplementConfig(angle_deg=widest))
+    stricter = associate_and_triangulate(
+        rendered.sparse_map(), found, SupplementConfig(angle_deg=widest)
+    )
     assert 0 < len(stricter) < len(points)
 
 
@@ -90,8 +108,8 @@ def digests(folder: Path) -> dict[str, str]:
 def test_added_points_change_nothing_else_and_can_be_removed(rendered_copy: Path) -> None:
     scene = Scene.open(rendered_copy)
     before, files = scene.sparse_map(), digests(scene.map_path)
-    known = detect_known(scene, noise_px=0.3)
-    points, found = known.triangulate(scene), known.detections
+    found = detections(scene, noise_px=0.3, blur=0.2)
+    points = associate_and_triangulate(before, found, CONFIG)
     with pytest.raises(InputError, match="another run changed the map"):
         add_to_map(rendered_copy, points, found, "0" * 64)
     add_to_map(rendered_copy, points, found, before.sha256)
@@ -127,8 +145,8 @@ def test_added_points_change_nothing_else_and_can_be_removed(rendered_copy: Path
 
 def test_a_supplemented_model_passes_bundle_adjustment(rendered_copy: Path, tmp_path: Path) -> None:
     scene = Scene.open(rendered_copy)
-    found = detect_known(scene, noise_px=0.15)
-    add_to_map(rendered_copy, found.triangulate(scene), found.detections)
+    found = detections(scene, noise_px=0.3)
+    add_to_map(rendered_copy, associate_and_triangulate(scene.sparse_map(), found, CONFIG), found)
     before = scene.sparse_map()
     native = pycolmap.Reconstruction(scene.map_path)
     assert native.num_points3D() == len(before.xyz)
@@ -156,8 +174,8 @@ def squares(sparse_map: SparseMap) -> float:
 def test_the_diagnosis_shows_what_was_added(rendered_copy: Path) -> None:
     """The middle of what is thicker than a metre is too deep in it to lie on its surface."""
     scene = Scene.open(rendered_copy)
-    found = detect_known(scene, lambda item: item.size_class == "small" and min(item.size) < 1)
-    add_to_map(rendered_copy, found.triangulate(scene), found.detections)
+    found = detections(scene, lambda item: item.size_class == "small" and min(item.size) < 1)
+    add_to_map(rendered_copy, associate_and_triangulate(scene.sparse_map(), found, CONFIG), found)
     diagnosis = diagnose(rendered_copy)
     assert diagnosis.before is not None
     assert diagnosis.added is not None
@@ -169,8 +187,8 @@ def test_the_diagnosis_shows_what_was_added(rendered_copy: Path) -> None:
 
 def test_marks_of_another_map_are_refused(rendered_copy: Path) -> None:
     scene = Scene.open(rendered_copy)
-    found = detect_known(scene)
-    add_to_map(rendered_copy, found.triangulate(scene), found.detections)
+    found = detections(scene)
+    add_to_map(rendered_copy, associate_and_triangulate(scene.sparse_map(), found, CONFIG), found)
     files = digests(scene.map_path)
     marks = scene.map_path / SUPPLEMENT
     whole = marks.read_text()

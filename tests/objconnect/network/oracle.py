@@ -1,77 +1,65 @@
-"""Detections of objects whose positions are known, as a perfect network would find them."""
+"""Detections of objects whose place is known: what a perfect network would find, made worse."""
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import torch
 
-from objconnect.mapping.supplement.config import SupplementConfig
-from objconnect.mapping.supplement.triangulation import (
-    Detections,
-    TriangulatedPoint,
-    triangulate,
-)
+from objconnect.mapping.supplement.association import Detections
 from objconnect.scene.bundle.manifest import SceneObject
 from objconnect.scene.bundle.scene import Scene
 
 DIMENSIONS = 32
 
 
-@dataclass(frozen=True)
-class Detected:
-    """Detections of known objects.
-
-    Attributes:
-        detections: detections by photograph.
-        tracks: rows of the detections of each object, by photograph.
-    """
-
-    detections: dict[str, Detections]
-    tracks: list[dict[str, int]]
-
-    def triangulate(
-        self, scene: Scene, config: SupplementConfig | None = None
-    ) -> list[TriangulatedPoint]:
-        """Triangulate each object that enough photographs show."""
-        sparse_map, options = scene.sparse_map(), config or SupplementConfig()
-        points = [triangulate(sparse_map, self.detections, rows, options) for rows in self.tracks]
-        return [point for point in points if point is not None]
-
-
-def detect_known(
+def detections(
     scene: Scene,
     wanted: Callable[[SceneObject], bool] = lambda item: item.size_class == "small",
     noise_px: float = 0.0,
+    blur: float = 0.0,
+    outliers: int = 0,
     seed: int = 0,
-) -> Detected:
-    """Detect the centres of objects where a photograph of the map shows them unhidden.
+) -> dict[str, Detections]:
+    """Centres of objects where a photograph of the map shows them unhidden.
 
     Args:
         scene: rendered, with its map.
-        wanted: objects to detect.
+        wanted: objects to find.
         noise_px: standard deviation of the pixels.
-        seed: random seed of noise, descriptors and confidence.
+        blur: length of what is added to descriptors of length one.
+        outliers: detections of nothing per photograph.
+        seed: of all that.
     """
     rng = np.random.default_rng(seed)
     items = [item for item in scene.objects.objects if wanted(item)]
-    centres = torch.tensor([item.centre for item in items], dtype=torch.float64)
-    found, tracks = {}, defaultdict(dict)
+    # What looks alike has the same descriptor, but for a little.
+    kinds = sorted({item.class_name for item in items})
+    looks = dict(zip(kinds, rng.normal(size=(len(kinds), DIMENSIONS)), strict=True))
+    found = {}
     for image, layers in scene.layers_of_map(scene.sparse_map(), "instance"):
+        centres = torch.tensor([item.centre for item in items], dtype=torch.float64)
         seen = image.camera.project(image.pose.transform(centres))
         inside = (seen.valid & image.camera.contains(seen.xy, 1)).numpy()
-        xy = []
-        for k in np.flatnonzero(inside):
-            column, row = seen.xy[k].numpy().astype(int)
-            if layers["instance"][row, column] == items[k].id:
-                tracks[items[k].id][image.name] = len(xy)
-                xy.append(seen.xy[k].numpy())
+        xy, descriptors = [], []
+        for item, pixel in zip(
+            [items[k] for k in np.flatnonzero(inside)], seen.xy.numpy()[inside], strict=True
+        ):
+            column, row = pixel.astype(int)
+            if layers["instance"][row, column] == item.id:
+                xy.append(pixel)
+                descriptors.append(looks[item.class_name])
+        size = (image.camera.width, image.camera.height)
+        xy += list(rng.uniform(1, np.subtract(size, 1), (outliers, 2)))
+        descriptors += [looks[kinds[k]] for k in rng.integers(0, len(kinds), outliers)]
         noisy = np.array(xy).reshape(-1, 2) + rng.normal(scale=noise_px, size=(len(xy), 2))
-        vectors = rng.normal(size=(len(xy), DIMENSIONS))
+        vectors = np.array(descriptors).reshape(-1, DIMENSIONS)
+        vectors = vectors / np.linalg.norm(vectors, axis=1, keepdims=True).clip(1e-9)
+        around = rng.normal(size=vectors.shape)
+        vectors = vectors + blur * around / np.linalg.norm(around, axis=1, keepdims=True)
         vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
-        confidence = rng.uniform(0.5, 1, len(noisy))
-        found[image.name] = Detections(noisy, vectors.astype(np.float32), confidence)
-    return Detected(found, list(tracks.values()))
+        found[image.name] = Detections(
+            noisy, vectors.astype(np.float32), rng.uniform(0.5, 1, len(noisy))
+        )
+    return found
