@@ -23,7 +23,7 @@ from objconnect.localization.matching.matcher import NearestNeighbours
 from objconnect.localization.matching.structure import StructureConfig, StructureLocalizer
 from objconnect.scene.maps.features import Features
 from objconnect.scene.runtime.device import AUTO, Device, torch_device
-from objconnect.scene.runtime.tuning import trim_heap
+from objconnect.scene.runtime.tuning import retain_heap
 
 SHIPPED: Final = Path(__file__).with_name("d2net.safetensors")
 """The shipped weights."""
@@ -80,6 +80,8 @@ class D2NetExtractor(Extractor):
 
     def __init__(self, network: D2Net, weights_sha256: str, config: D2NetConfig) -> None:
         self._device = torch_device(config.device)
+        # Allocating the feature maps of each picture again takes a fifth of the time.
+        retain_heap()
         # Convolutions of channels-last maps take less time on the CPU.
         fast = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._network: D2Net = fast.to(self._device)
@@ -109,7 +111,6 @@ class D2NetExtractor(Extractor):
                 values[strongest].cpu().numpy()
                 for values in (keypoints.xy, keypoints.scale, keypoints.descriptors)
             )
-        trim_heap()  # takes little time compared with the network
         config = self._config
         kept = np.flatnonzero(_has_contrast(rgb, xy))[: config.max_features]
         xy, scale, descriptors = xy[kept], scale[kept], descriptors[kept]
