@@ -27,7 +27,7 @@ from objconnect.scene.config import Config
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.rays import Rays
 from objconnect.scene.geometry.sampson import Matches, refine
-from objconnect.scene.localizer import By, Estimate, Query, Status, Stopwatch, query_error
+from objconnect.scene.localizer import Estimate, PoseSource, Query, Status, Stopwatch, query_error
 from objconnect.scene.maps.features import Features
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 from objconnect.scene.storage.lru_cache import LruCache, free_cache_bytes
@@ -138,7 +138,7 @@ class EpipolarLocalizer:
             inliers=sum(len(matches.query_rays) for matches in used),
             iterations=refined.iterations,
             seconds=clock.seconds,
-            by=By.MATCHES,
+            by=PoseSource.MATCHES,
         )
 
     def _relate(

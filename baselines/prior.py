@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from objconnect.localization.initial_poses import list_initial_poses, source_of_initial_poses
 from objconnect.localization.matching.retrieval import References
-from objconnect.localization.starts import source_of_starts, starts
 from objconnect.scene.config import Config
 from objconnect.scene.localizer import Estimate, Query, Status, Stopwatch, query_error
 from objconnect.scene.maps.sparse_map import SparseMap
@@ -54,6 +54,6 @@ class PriorLocalizer:
                     seconds=clock.seconds,
                     reason="no map photograph was found for the query",
                 )
-            start = starts(query.prior, self._map, chosen)[0]
-        by = source_of_starts(query.prior)
+            start = list_initial_poses(query.prior, self._map, chosen)[0]
+        by = source_of_initial_poses(query.prior)
         return Estimate(Status.OK, start, seconds=clock.seconds, by=by)

@@ -36,7 +36,7 @@ class Nearest:
             offsets = self.map.centres[:, :axes] - query.prior.position[:axes]
             nearest = self.map.names[int(np.linalg.norm(offsets, axis=1).argmin())]
         pose = self.map.images[nearest].pose
-        return oc.Estimate(oc.Status.OK, pose, seconds=clock.seconds, by=oc.By.RETRIEVAL)
+        return oc.Estimate(oc.Status.OK, pose, seconds=clock.seconds, by=oc.PoseSource.RETRIEVAL)
 
 
 def main(

@@ -21,7 +21,7 @@ from objconnect.localization.align.aligner import align
 from objconnect.localization.align.hypotheses import align_from_many
 from objconnect.localization.align.options import SearchRadius
 from objconnect.localization.featuremetric.references import MAX_POINTS
-from objconnect.localization.starts import starts
+from objconnect.localization.initial_poses import list_initial_poses
 from objconnect.network.localizer import ObjConnectConfig, ObjConnectLocalizer
 from objconnect.network.network import read_network
 from objconnect.network.segmentation import segment
@@ -41,7 +41,7 @@ def main(scene: Path, session: str, weights: Path, out: Path) -> None:
         localizer.prepare(dataset.load_map(), dataset.images, Path(cache))
         refine = localizer.map_state.refine
         chosen = refine.retrieval.choose(query, 5, lambda: np.empty((0, 1)), tilt_invariant=False)
-        (start,) = starts(query.prior, dataset.load_map(), chosen)
+        (start,) = list_initial_poses(query.prior, dataset.load_map(), chosen)
         view, maps = refine.problems.view(query, chosen, start)
         problem = refine.problems.build(view, maps, chosen, start, MAX_POINTS)
     network, _ = read_network(weights)

@@ -29,7 +29,7 @@ from experiments.orthophoto import _link
 from objconnect.scene.bundle.manifest import Splits, write_json
 from objconnect.scene.bundle.scene import Scene, finish_scene
 from objconnect.scene.storage.images import read_rgb
-from simulate.place.survey_files import load_site
+from simulate.place.site_files import load_site
 from simulate.place.world import World
 from simulate.twin.build import build_site
 from simulate.twin.classes import CROWN, LOW_VEGETATION, NAMES, PAVED, ROOF, WATER

@@ -38,9 +38,9 @@ if TYPE_CHECKING:
     from objconnect.scene.exports.export import export as export
     from objconnect.scene.geometry.camera import Camera as Camera
     from objconnect.scene.geometry.pose import Pose as Pose
-    from objconnect.scene.localizer import By as By
     from objconnect.scene.localizer import Estimate as Estimate
     from objconnect.scene.localizer import Localizer as Localizer
+    from objconnect.scene.localizer import PoseSource as PoseSource
     from objconnect.scene.localizer import Prior as Prior
     from objconnect.scene.localizer import Query as Query
     from objconnect.scene.localizer import Status as Status
@@ -81,7 +81,7 @@ _TARGETS = {
     "run_script": "objconnect.scene.runtime.script",
     "ProcessTuning": "objconnect.scene.runtime.tuning",
     # Types.
-    "By": "objconnect.scene.localizer",
+    "PoseSource": "objconnect.scene.localizer",
     "Camera": "objconnect.scene.geometry.camera",
     "Config": "objconnect.scene.config",
     "Estimate": "objconnect.scene.localizer",

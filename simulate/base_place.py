@@ -8,7 +8,7 @@ from objconnect.scene.bundle.manifest import read_json, write_json
 from objconnect.scene.errors import InputError
 from simulate.config import SimulateConfig
 from simulate.place.presets import preset
-from simulate.place.survey_files import load_site, save_site
+from simulate.place.site_files import load_site, save_site
 from simulate.place.world import World
 from simulate.twin.build import build_site
 from simulate.twin.report import PLACE_FILE, REPORT_FILE, SiteReport

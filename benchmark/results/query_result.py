@@ -8,7 +8,7 @@ from pydantic import Field
 
 from objconnect.scene.bundle.manifest import Condition
 from objconnect.scene.geometry.geodesy import FARTHEST_M
-from objconnect.scene.localizer import By, Status
+from objconnect.scene.localizer import PoseSource, Status
 from objconnect.scene.storage.answers import NamedRecord, PoseNumbers
 
 MAX_STORED: Final = 10**12
@@ -66,7 +66,7 @@ class QueryResult(NamedRecord):
     iterations: _Count
     inliers: _Count
     seconds: dict[str, _Time]
-    by: By | None = None
+    by: PoseSource | None = None
     probability: float | None = Field(None, ge=0, le=1)
     prior_t_m: _Length | None = Field(None, ge=0)
 

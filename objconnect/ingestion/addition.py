@@ -38,17 +38,17 @@ from objconnect.ingestion.photographs import (
     warn_of_doubts,
 )
 from objconnect.ingestion.picture import PICTURE, draw
-from objconnect.ingestion.plan import (
-    DATABASE,
-    WORK,
-    Plan,
-    flight_manifest,
-    make_scene,
-    read_plan,
-)
 from objconnect.ingestion.positions import local_positions, replace_positions
 from objconnect.ingestion.report import REPORT, Findings, IngestReport, make_report
 from objconnect.ingestion.rotated_photographs import read_rotated, restart_rotated
+from objconnect.ingestion.run_record import (
+    DATABASE,
+    WORK,
+    RunRecord,
+    flight_manifest,
+    make_scene,
+    read_run_record,
+)
 from objconnect.ingestion.split import choose_queries
 from objconnect.scene.bundle.covisibility import Covisibility, visible_share, write_covisibility
 from objconnect.scene.bundle.manifest import Manifest, Splits, write_json
@@ -79,7 +79,7 @@ _ROUNDING: Final = 1e-9
 
 @dataclass(frozen=True)
 class _Source:
-    """The inputs of a run: a finished scene, and the new photographs with their plan.
+    """The inputs of a run: a finished scene, and the new photographs with their record.
 
     Attributes:
         base: the scene that photographs are added to.
@@ -95,14 +95,14 @@ class _Source:
     photographs: Sequence[Photograph]
     fixes: Mapping[str, Array]
     queries: set[str]
-    plan: Plan
+    record: RunRecord
 
 
 def add_photographs(
     photographs: Path,
     scene: Path,
     out: Path,
-    settings: Plan,
+    settings: RunRecord,
     gps: Path | None = None,
     camera: Camera | None = None,
 ) -> IngestReport:
@@ -137,7 +137,7 @@ def add_photographs(
     if gps is not None:
         flight = replace_positions(flight, gps)
     warn_of_doubts(flight, with_lenses=camera is None)
-    plan = settings.model_copy(
+    record = settings.model_copy(
         update={
             "camera": None if camera is None else str(camera),
             "gps": None if gps is None else sha256_of(gps),
@@ -148,15 +148,15 @@ def add_photographs(
     )
     names = [image.name for image in flight.images]
     _, fixes = local_positions(flight.images, base.manifest.origin)
-    queries = choose_queries(names, fixes, plan.split, plan.every)
-    new_photographs = make_photographs(flight.images, plan.size, camera)
+    queries = choose_queries(names, fixes, record.split, record.every)
+    new_photographs = make_photographs(flight.images, record.size, camera)
     if camera is None:
         new_photographs = apply_known_lenses(base, flight.images, new_photographs)
-    source = _Source(base, session, photographs, flight, new_photographs, fixes, queries, plan)
+    source = _Source(base, session, photographs, flight, new_photographs, fixes, queries, record)
     with write_lock(out):
         return make_scene(
             out,
-            plan,
+            record,
             lambda: _build(out, source),
             list_own_files(flight.images, session) | set(base.manifest.sha256),
             _manifest(source),
@@ -173,9 +173,9 @@ def _name_session(base: Scene) -> str:
 def _known_photographs(base: Scene) -> dict[str, str]:
     """Return files by digest: the photographs in a scene, and the originals they were made of."""
     files = {digest: name for name, digest in base.manifest.sha256.items() if "/images/" in name}
-    plan = read_plan(base.manifest)
-    if plan is not None:
-        files |= plan.known | {digest: file for file, digest in plan.photographs.items()}
+    record = read_run_record(base.manifest)
+    if record is not None:
+        files |= record.known | {digest: file for file, digest in record.photographs.items()}
     return files
 
 
@@ -272,7 +272,7 @@ def _register(out: Path, source: _Source, known: KnownMap) -> tuple[Flight, Spar
     root, models = out / "sessions", out / WORK / "models"
     base = source.base
     rotated = read_rotated(out)
-    copied = copy_photographs(source.flight, source.folder, root, source.plan.size, rotated)
+    copied = copy_photographs(source.flight, source.folder, root, source.record.size, rotated)
     names = {image.name for image in copied.images}
     photographs = [photograph for photograph in source.photographs if photograph.name in names]
     _match(out, source, known, photographs)
@@ -309,7 +309,7 @@ def _register(out: Path, source: _Source, known: KnownMap) -> tuple[Flight, Spar
 
 def _match(out: Path, source: _Source, known: KnownMap, photographs: Sequence[Photograph]) -> None:
     """Match the new photographs with each other, and with map photographs near or similar."""
-    options, root, database = source.plan.options, out / "sessions", out / WORK / DATABASE
+    options, root, database = source.record.options, out / "sessions", out / WORK / DATABASE
     new, old = [p.name for p in photographs], [image.name for image in known.images]
     centres = {n: known.sparse_map.images[n].centre for n in old}
     job = MatchingJob(root, (), SiftOptions())
@@ -382,7 +382,7 @@ def _select_in_view(xyz: Array, camera: Camera, cam_from_world: Array) -> Array:
 
 def _manifest(source: _Source) -> Manifest:
     base = source.base.manifest
-    new = flight_manifest(source.plan, base.origin, source.session)
+    new = flight_manifest(source.record, base.origin, source.session)
     return new.model_copy(
         update={
             "preset": base.preset,

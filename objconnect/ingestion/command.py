@@ -41,10 +41,10 @@ from objconnect.ingestion.photographs import (
     warn_of_doubts,
 )
 from objconnect.ingestion.picture import PICTURE, draw
-from objconnect.ingestion.plan import DATABASE, WORK, Plan, flight_manifest, make_scene
 from objconnect.ingestion.positions import MIN_PHOTOGRAPHS, local_positions, replace_positions
 from objconnect.ingestion.report import REPORT, Findings, IngestReport, make_report
 from objconnect.ingestion.rotated_photographs import read_rotated, restart_rotated
+from objconnect.ingestion.run_record import DATABASE, WORK, RunRecord, flight_manifest, make_scene
 from objconnect.ingestion.split import Split, choose_queries
 from objconnect.scene.bundle.manifest import write_json
 from objconnect.scene.colmap.database import MatchingJob, match_photographs
@@ -84,7 +84,7 @@ class _Source:
     origin: Geodetic
     fixes: Mapping[str, NDArray[np.float64]]
     queries: set[str]
-    plan: Plan
+    record: RunRecord
     imported: ImportedPoses | None
     control: Sequence[ControlPoint]
 
@@ -145,7 +145,7 @@ def ingest(
                 "--add registers photographs in the map of the scene: leave out --poses, "
                 "--poses-frame, --gcp, --gcp-check and --mapper"
             )
-        settings = Plan(size=size, mapper=mapper, split=split, every=every, options=options)
+        settings = RunRecord(size=size, mapper=mapper, split=split, every=every, options=options)
         return add_photographs(photographs, add, out, settings, gps, camera)
     if poses is None and poses_frame is not None:
         raise InputError("--poses-frame needs a file of poses: give --poses")
@@ -160,7 +160,7 @@ def ingest(
     if checks and gcp is None:
         raise InputError("--gcp-check names points of a list: give --gcp")
     control = [] if gcp is None else read_control_points(gcp, flight, size, checks)
-    plan = Plan(
+    record = RunRecord(
         size=size,
         mapper=mapper,
         split=split,
@@ -173,7 +173,7 @@ def ingest(
         photographs={image.file: image.sha256 for image in flight.images},
         options=options,
     )
-    source = _gather_source(photographs, flight, camera, imported, control, plan)
+    source = _gather_source(photographs, flight, camera, imported, control, record)
     with write_lock(out):
         return _ingest(out, source)
 
@@ -184,35 +184,35 @@ def _gather_source(
     camera: Camera | None,
     imported: ImportedPoses | None,
     control: Sequence[ControlPoint],
-    plan: Plan,
+    record: RunRecord,
 ) -> _Source:
     """Gather the inputs of a run; the pixels of the photographs are not read yet."""
     origin, fixes = local_positions(flight.images, None if imported is None else imported.origin)
     names = [image.name for image in flight.images]
     course = fixes if imported is None or imported.origin is None else imported.centres
-    queries = choose_queries(names, course, plan.split, plan.every)
+    queries = choose_queries(names, course, record.split, record.every)
     if imported is None:
-        photographs = make_photographs(flight.images, plan.size, camera)
+        photographs = make_photographs(flight.images, record.size, camera)
     else:
         photographs = imported.photographs()
         control = [replace(point, check=True) for point in control]
-    return _Source(folder, flight, photographs, origin, fixes, queries, plan, imported, control)
+    return _Source(folder, flight, photographs, origin, fixes, queries, record, imported, control)
 
 
 def _ingest(out: Path, source: _Source) -> IngestReport:
     return make_scene(
         out,
-        source.plan,
+        source.record,
         lambda: _build(out, source),
         list_own_files(source.flight.images, SESSION),
-        flight_manifest(source.plan, source.origin, SESSION),
+        flight_manifest(source.record, source.origin, SESSION),
     )
 
 
 def _build(out: Path, source: _Source) -> IngestReport:
     """Write everything of the scene but its manifest."""
     photographs, fixes, queries = source.photographs, source.fixes, source.queries
-    options = source.plan.options
+    options = source.record.options
     rotated: set[str] = set()
     if source.imported is not None:
         flight, adjusted = _use_imported_poses(out, source, source.imported)
@@ -230,7 +230,7 @@ def _build(out: Path, source: _Source) -> IngestReport:
     sparse_map = write_map(out, model, queries, out / WORK / DATABASE)
     write_lists(out, model, images, queries)
     rotated_files = [image.file for image in images if image.name in rotated]
-    receiver = Receiver(fixes, {} if source.plan.gps is not None else read_sigmas(images))
+    receiver = Receiver(fixes, {} if source.record.gps is not None else read_sigmas(images))
     georeference = estimate_georeference(
         model, adjusted.georegistration, receiver, residuals, options
     )
@@ -265,11 +265,13 @@ def _use_imported_poses(
     out: Path, source: _Source, imported: ImportedPoses
 ) -> tuple[Flight, AdjustedModel]:
     """Return the copied photographs and their model with the imported poses."""
-    copied = copy_photographs(source.flight, source.folder, out / "sessions", source.plan.size, ())
+    copied = copy_photographs(
+        source.flight, source.folder, out / "sessions", source.record.size, ()
+    )
     _require_enough(copied, source.folder)
     names = [image.name for image in copied.images]
     photographs = [photograph for photograph in source.photographs if photograph.name in set(names)]
-    options, database = source.plan.options, out / WORK / DATABASE
+    options, database = source.record.options, out / WORK / DATABASE
     _match(photographs, imported.centres, options, out)
     adjusted = triangulate_imported(imported, names, source.fixes, out / "sessions", database)
     return copied, adjusted
@@ -277,16 +279,16 @@ def _use_imported_poses(
 
 def _reconstruct(out: Path, source: _Source) -> tuple[Flight, Path, set[str]]:
     """Return the photographs of one model, the folder of the model, and the rotated photographs."""
-    fixes, options = source.fixes, source.plan.options
+    fixes, options = source.fixes, source.record.options
     rotated = read_rotated(out)
     copied = copy_photographs(
-        source.flight, source.folder, out / "sessions", source.plan.size, rotated
+        source.flight, source.folder, out / "sessions", source.record.size, rotated
     )
     _require_enough(copied, source.folder)
     files = {image.name: image.file for image in copied.images}
     photographs = [photograph for photograph in source.photographs if photograph.name in files]
     _match(photographs, fixes, options, out)
-    model_path, unregistered = _map(photographs, out, source.plan.mapper)
+    model_path, unregistered = _map(photographs, out, source.record.mapper)
     if not rotated:
         raw = read_model(model_path)
         rotated = find_upside_down(raw, georegister(raw, fixes), copied.images)

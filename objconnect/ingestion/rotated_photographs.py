@@ -9,7 +9,7 @@ from typing import Final
 
 from pydantic import BaseModel
 
-from objconnect.ingestion.plan import DATABASE, WORK
+from objconnect.ingestion.run_record import DATABASE, WORK
 from objconnect.scene.bundle.manifest import read_json, write_json
 
 _RECORD: Final = "turned.json"

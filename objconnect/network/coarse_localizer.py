@@ -15,7 +15,7 @@ from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.localization.featuremetric.options import NetworkOptions
 from objconnect.network.localizer import SHIPPED
 from objconnect.network.network import read_network
-from objconnect.scene.localizer import By, Estimate, Query, Status, Stopwatch, query_error
+from objconnect.scene.localizer import Estimate, PoseSource, Query, Status, Stopwatch, query_error
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.device import torch_device
 
@@ -63,4 +63,4 @@ class CoarseLocalizer:
             reason = "the coarse search found no candidate"
             return Estimate(Status.FAILED, seconds=clock.seconds, reason=reason)
         best = max(candidates, key=lambda each: each.score)
-        return Estimate(Status.OK, best.pose, seconds=clock.seconds, by=By.PLACE)
+        return Estimate(Status.OK, best.pose, seconds=clock.seconds, by=PoseSource.PLACE)

@@ -121,7 +121,7 @@ class Status(StrEnum):
     FAILED = "failed"
 
 
-class By(StrEnum):
+class PoseSource(StrEnum):
     """The step of a method that produced the pose of an estimate."""
 
     MATCHES = "matches"  # local features matched to those of reference images
@@ -158,13 +158,13 @@ class Estimate:
     iterations: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
     reason: str = ""
-    by: By | None = None
+    by: PoseSource | None = None
     probability: float | None = None
 
     @property
     def is_tracked(self) -> bool:
         """Return whether the pose is the confirmed prior of a tracked query, without a search."""
-        return self.by is By.TRACKING
+        return self.by is PoseSource.TRACKING
 
     def world_covariance(self) -> NDArray[np.float64] | None:
         """Return the covariance (6, 6) of centre and attitude; None where it is unknown.

@@ -28,7 +28,7 @@ _OUTSKIRTS_OPEN = 0.92  # share of open land among those blocks
 
 Use = Callable[[PlaceBuilder, Block], None]
 """A function that fills a block."""
-Lining = Callable[[PlaceBuilder], None]
+RoadsidePlacer = Callable[[PlaceBuilder], None]
 """A function that places objects along the roads."""
 Relief = Callable[[float, np.random.Generator], Heightfield]
 """A function that draws the terrain of a place from its side in metres."""
@@ -86,8 +86,8 @@ class Plan:
 
     block_m: float
     quarters: tuple[Quarter, ...]
-    after_blocks: tuple[Lining, ...]
-    before_blocks: tuple[Lining, ...] = ()
+    after_blocks: tuple[RoadsidePlacer, ...]
+    before_blocks: tuple[RoadsidePlacer, ...] = ()
     streets: StreetKind = TOWN_STREETS
     min_side_m: float = MIN_SIDE_M
     relief: Relief = relief

@@ -58,7 +58,7 @@ def preset(name: str, site_path: Path | None = None) -> Callable[[int, float], W
         InputError: the preset does not exist, or a package's preset cannot be loaded.
     """
     if name == SITE and site_path is not None:
-        from simulate.place.survey_files import load_site
+        from simulate.place.site_files import load_site
 
         return lambda seed, _side_m: load_site(site_path, seed)
     return PRESETS.load(name).build

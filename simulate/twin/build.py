@@ -16,7 +16,7 @@ from objconnect.scene.geometry.geodesy import Geodetic
 from simulate.look.conditions import condition
 from simulate.look.ground import srgb
 from simulate.look.sun import sun_position
-from simulate.place.survey_files import make_ground
+from simulate.place.site_files import make_ground
 from simulate.place.world import MIRRORED_M, Heightfield, Imagery, World
 from simulate.twin.albedo import blur_walls, estimate_albedo, soften_shadows
 from simulate.twin.classes import NAMES, apply_mask, classify

@@ -15,7 +15,7 @@ from benchmark.publishing.description import Release
 from benchmark.publishing.licenses import hub_license, license_url
 from benchmark.publishing.weights.benchmarks import FOLDER
 from benchmark.publishing.weights.evaluations import Evaluation, figures
-from benchmark.publishing.weights.source import Source
+from benchmark.publishing.weights.local_weights import LocalWeights
 from objconnect.scene.storage.atomic import write_text
 
 _TAGS: Final = ("uav", "visual-localization", "camera-pose", "colmap")
@@ -28,7 +28,7 @@ _LIMITS: Final = (
 def write_model_card(
     folder: Path,
     name: str,
-    source: Source,
+    source: LocalWeights,
     evaluations: Sequence[Evaluation],
     release: Release,
 ) -> None:
@@ -69,7 +69,7 @@ def write_model_card(
     write_text(folder / CARD, f"---\n{text}---\n\n{body}")
 
 
-def _rows(folder: Path, source: Source) -> Iterable[str]:
+def _rows(folder: Path, source: LocalWeights) -> Iterable[str]:
     for file in source.calibration:
         yield f"| `{file.name}` | calibration, which is read with the weights |"
     if (folder / "results").is_dir():

@@ -12,7 +12,7 @@ from benchmark.publishing.description import Release
 from benchmark.publishing.weights.benchmarks import open_benchmark, scores, write_scores
 from benchmark.publishing.weights.card import write_model_card
 from benchmark.publishing.weights.evaluations import read_evaluations
-from benchmark.publishing.weights.source import open_source
+from benchmark.publishing.weights.local_weights import find_local_weights
 from objconnect.scene.storage.atomic import atomic_folder
 from objconnect.scene.storage.checksums import write_checksums
 from objconnect.scene.storage.outputs import check_output_folder, require_empty, require_name
@@ -83,7 +83,7 @@ def publish_weights(
     name = out.resolve().name
     require_name(name, "model")
     require_empty(out)
-    source = open_source(weights, release.license)
+    source = find_local_weights(weights, release.license)
     check_output_folder(out, [*results, source.file])
     evaluations, left_out = read_evaluations(results, source.sha256)
     boards = [scores(open_benchmark(address), evaluations) for address in benchmarks]

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from objconnect.scene.config import Config, load_config
-from objconnect.scene.localizer import By, Estimate, Query, Status, Stopwatch
+from objconnect.scene.localizer import Estimate, PoseSource, Query, Status, Stopwatch
 from objconnect.scene.maps.sparse_map import SparseMap
 
 
@@ -35,7 +35,7 @@ class Nearest:
             away = self.map.centres[:, :axes] - query.prior.position[:axes]
             nearest = self.map.names[int(np.linalg.norm(away, axis=1).argmin())]
         pose = self.map.images[nearest].pose
-        return Estimate(Status.OK, pose, seconds=clock.seconds, by=By.RETRIEVAL)
+        return Estimate(Status.OK, pose, seconds=clock.seconds, by=PoseSource.RETRIEVAL)
 
 
 def make(overrides: dict[str, Any]) -> Nearest:

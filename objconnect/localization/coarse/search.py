@@ -17,7 +17,7 @@ from objconnect.localization.coarse.mosaic import Mosaic
 from objconnect.localization.featuremetric.maps import FeatureMap
 from objconnect.scene.geometry.pose import Pose, so3_exp
 from objconnect.scene.geometry.views import WarpedImage
-from objconnect.scene.localizer import By
+from objconnect.scene.localizer import PoseSource
 from objconnect.scene.runtime.progress import progress_within
 from objconnect.scene.storage.lru_cache import MEGABYTE, LruCache
 
@@ -51,7 +51,7 @@ class Candidate:
 
     pose: Pose
     score: float
-    by: By = By.PLACE
+    by: PoseSource = PoseSource.PLACE
 
 
 @dataclass(frozen=True)

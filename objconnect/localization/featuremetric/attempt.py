@@ -20,7 +20,7 @@ from objconnect.localization.featuremetric.options import SearchOptions
 from objconnect.localization.featuremetric.problem import fit
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.views import WarpedImage
-from objconnect.scene.localizer import By, Estimate, Status, Stopwatch
+from objconnect.scene.localizer import Estimate, PoseSource, Status, Stopwatch
 
 Rivals = Sequence[tuple[Pose, float]]
 """Poses that no attempt gave, such as one by matches, with their log odds of being right. They
@@ -102,7 +102,7 @@ def is_accepted(attempts: Sequence[Attempt], options: SearchOptions, rivals: Riv
 def select_estimate(
     attempts: Sequence[Attempt],
     starts: Sequence[Pose],
-    source: By,
+    source: PoseSource,
     options: SearchOptions,
     clock: Stopwatch,
     rivals: Rivals = (),
@@ -126,7 +126,7 @@ def select_estimate(
         iterations=sum(int(each.alignment.iterations) for each in attempts),
         seconds=clock.seconds,
         reason=_rejection_reason(best, probability, len(attempts), options),
-        by=By.ALIGNMENT,
+        by=PoseSource.ALIGNMENT,
         probability=probability,
     )
     if not answer.reason:

@@ -33,8 +33,8 @@ from objconnect.localization.featuremetric.priors import has_position, is_near_p
 from objconnect.localization.featuremetric.references import FeatureObserver, ReferenceSource
 from objconnect.localization.featuremetric.refiner import Refiner
 from objconnect.localization.featuremetric.screening import screen_candidates
-from objconnect.localization.starts import source_of_starts, starts
-from objconnect.scene.localizer import By, Estimate, Query, Stopwatch
+from objconnect.localization.initial_poses import list_initial_poses, source_of_initial_poses
+from objconnect.scene.localizer import Estimate, PoseSource, Query, Stopwatch
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.progress import progress_within
 
@@ -127,7 +127,7 @@ class GlobalSearch:
 
     def _align(self, query: Query, candidate: Candidate, clock: Stopwatch) -> Attempt:
         """Refine a candidate, with a smaller search radius if it is a pose by matches."""
-        radius = MATCHES_RADIUS if candidate.by is By.MATCHES else None
+        radius = MATCHES_RADIUS if candidate.by is PoseSource.MATCHES else None
         return self.refine.align_near(query, candidate.pose, clock, radius)
 
     def _select_promising(
@@ -182,7 +182,7 @@ class GlobalSearch:
         same = is_same_pose(attempt.pose, start)
         if (same or best == 0) and is_accepted([attempt], options, rivals):
             return self._select_best(
-                [attempt], Candidate(start, 0.0, By.MATCHES), clock, rivals
+                [attempt], Candidate(start, 0.0, PoseSource.MATCHES), clock, rivals
             ), []
         if (best == 0 and not same) or probability < 1 - options.risk:
             return None, [attempt]
@@ -226,6 +226,8 @@ class GlobalSearch:
         config = self.refine.config
         with clock.stage("retrieval"):
             reference_rows = self.refine.choose_references(query)
-            poses = starts(query.prior, self.sparse_map, reference_rows, config.same_place_m)
-        by = source_of_starts(query.prior)
+            poses = list_initial_poses(
+                query.prior, self.sparse_map, reference_rows, config.same_place_m
+            )
+        by = source_of_initial_poses(query.prior)
         return [Candidate(pose, 0.0, by) for pose in poses[: config.place.candidates]]

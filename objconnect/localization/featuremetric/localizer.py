@@ -53,10 +53,18 @@ from objconnect.localization.featuremetric.references import (
 )
 from objconnect.localization.featuremetric.refiner import Refiner
 from objconnect.localization.featuremetric.tracking import Tracking
+from objconnect.localization.initial_poses import list_initial_poses, source_of_initial_poses
 from objconnect.localization.matching.retrieval import NO_REFERENCE, LazyDescriptors, References
-from objconnect.localization.starts import source_of_starts, starts
 from objconnect.scene.geometry.pose import Pose
-from objconnect.scene.localizer import By, Estimate, MapPart, Query, Status, Stopwatch, query_error
+from objconnect.scene.localizer import (
+    Estimate,
+    MapPart,
+    PoseSource,
+    Query,
+    Status,
+    Stopwatch,
+    query_error,
+)
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.memory import resident_bytes
 from objconnect.scene.runtime.progress import progress_within
@@ -247,12 +255,14 @@ class FeaturemetricLocalizer:
             reference_rows = refine.choose_references(query)
             if not len(reference_rows):
                 return Estimate(Status.FAILED, seconds=clock.seconds, reason=NO_REFERENCE)
-            poses = starts(query.prior, self._map, reference_rows, self.config.same_place_m)
+            poses = list_initial_poses(
+                query.prior, self._map, reference_rows, self.config.same_place_m
+            )
         attempts = self._make_attempts(refine, query, reference_rows, poses, clock)
         if not is_accepted(attempts, self.config.search):
             attempts += self._try_matched(refine, query, clock)
         return select_estimate(
-            attempts, poses, source_of_starts(query.prior), self.config.search, clock
+            attempts, poses, source_of_initial_poses(query.prior), self.config.search, clock
         )
 
     def _needs_search(self, query: Query) -> bool:
@@ -280,8 +290,10 @@ class FeaturemetricLocalizer:
         attempt = prepared.tracking(query, prepared.refine.choose_references(query), clock)
         if attempt is None:
             return None
-        found = select_estimate([attempt], [attempt.pose], By.TRACKING, self.config.search, clock)
-        return replace(found, by=By.TRACKING)
+        found = select_estimate(
+            [attempt], [attempt.pose], PoseSource.TRACKING, self.config.search, clock
+        )
+        return replace(found, by=PoseSource.TRACKING)
 
     def _make_attempts(
         self,

@@ -12,7 +12,7 @@ from objconnect.localization.cache.map_cache import MapCache
 from objconnect.localization.coarse.search import Candidate
 from objconnect.localization.featuremetric.priors import is_near_prior
 from objconnect.scene.errors import InputError
-from objconnect.scene.localizer import By, Localizer, MapPart, PreparesParts, Query, Status
+from objconnect.scene.localizer import Localizer, MapPart, PoseSource, PreparesParts, Query, Status
 
 
 class MatchedFinder:
@@ -57,4 +57,4 @@ class MatchedFinder:
         pose = found.cam_from_world
         if found.status is not Status.OK or pose is None or not is_near_prior(query.prior, pose):
             return []
-        return [Candidate(pose, float(found.inliers), By.MATCHES)]
+        return [Candidate(pose, float(found.inliers), PoseSource.MATCHES)]

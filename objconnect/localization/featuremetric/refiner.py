@@ -47,7 +47,7 @@ class Refiner:
         trim_above_bytes: resident memory above which the heap is trimmed before a pass of the
             network. Trimming costs time.
         trim_above_magnified_bytes: the same before a pass on a magnified image.
-        width: numbers of hypotheses and points that a search compares.
+        search_width: numbers of hypotheses and points that a search compares.
     """
 
     config: FeaturemetricConfig
@@ -57,7 +57,7 @@ class Refiner:
     matches: StructureLocalizer | None
     trim_above_bytes: int
     trim_above_magnified_bytes: int
-    width: SearchWidth = SEARCH_WIDTH
+    search_width: SearchWidth = SEARCH_WIDTH
 
     def __call__(
         self,
@@ -80,13 +80,15 @@ class Refiner:
         with clock.stage("features"):
             view, maps = self.problems.view(query, reference_rows, start)
         multistart = self.config.multistart
-        count = min(self.width.compared_points, MAX_POINTS) if multistart else MAX_POINTS
+        count = min(self.search_width.compared_points, MAX_POINTS) if multistart else MAX_POINTS
         with clock.stage("points"):
             problem = self.problems.build(view, maps, reference_rows, start, count)
         with clock.stage("alignment"):
             if multistart:
                 coarse = problem.select_levels(slice(_COMPARED_LEVELS))
-                aligned = AlignedView(view, problem, align_from_many(coarse, radius, self.width))
+                aligned = AlignedView(
+                    view, problem, align_from_many(coarse, radius, self.search_width)
+                )
             else:
                 aligned = AlignedView(view, problem, align(problem, with_covariance=False))
         if multistart and not aligned.alignment.has_failed[0]:
@@ -96,7 +98,7 @@ class Refiner:
 
     def widen(self, factor: int) -> Refiner:
         """Return a refiner whose searches compare ``factor`` times the hypotheses and points."""
-        return replace(self, width=self.width.multiply(factor))
+        return replace(self, search_width=self.search_width.multiply(factor))
 
     def align_near(
         self, query: Query, start: Pose, clock: Stopwatch, radius: SearchRadius | None = None

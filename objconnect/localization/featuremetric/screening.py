@@ -58,7 +58,7 @@ def rough_peak(
         candidate: start of the alignment.
         coarser: metres per pixel of the image as a multiple of the map photographs'.
     """
-    builder, width = refine.problems, refine.width
+    builder, width = refine.problems, refine.search_width
     reference_rows = refine.choose_references(replace(query, prior=exact_prior(candidate.pose)))
     view = builder.warp(query, reference_rows, candidate.pose, coarser)
     maps = builder.features(view, levels=1)

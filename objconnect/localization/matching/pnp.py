@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from objconnect.scene.config import Config
-from objconnect.scene.localizer import By, Estimate, Query, Status, Stopwatch
+from objconnect.scene.localizer import Estimate, PoseSource, Query, Status, Stopwatch
 
 MIN_MATCHES: Final = 4
 """Number of matches that PnP needs."""
@@ -80,5 +80,5 @@ def solve_pose(
         result.covariance,
         inliers=inliers,
         seconds=clock.seconds,
-        by=By.MATCHES,
+        by=PoseSource.MATCHES,
     )

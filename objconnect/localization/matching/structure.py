@@ -17,13 +17,13 @@ from pydantic import Field
 
 from objconnect.localization.cache.map_cache import MapCache, open_cache
 from objconnect.localization.cache.store import Rows
+from objconnect.localization.initial_poses import list_angles, list_initial_poses
 from objconnect.localization.matching.features import Extractor, map_features
 from objconnect.localization.matching.lifting import find_observations, interpolate_points
 from objconnect.localization.matching.matcher import Keypoints, Matcher, turn_keypoints
 from objconnect.localization.matching.pnp import MIN_MATCHES, PnpConfig, solve_pose
 from objconnect.localization.matching.retrieval import NO_REFERENCE, LazyDescriptors, References
 from objconnect.localization.resolution import map_resolution, metres_per_pixel, scale_to
-from objconnect.localization.starts import list_angles, starts
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose
@@ -191,7 +191,9 @@ class StructureLocalizer:
         if extractor.rotation_invariant:
             return self._solve(query, pictures.original, reference_rows, clock)
         estimates: list[Estimate] = []
-        poses = starts(query.prior, self._map, reference_rows, headings=extractor.headings)
+        poses = list_initial_poses(
+            query.prior, self._map, reference_rows, headings=extractor.headings
+        )
         with progress_within("starts matched", len(poses)) as advance:
             for start in poses:
                 angle = north_angle(start.rotation.numpy())

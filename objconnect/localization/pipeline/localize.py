@@ -30,7 +30,7 @@ from objconnect.localization.pipeline.query_image import QueryImage
 from objconnect.localization.pipeline.tracking import SequenceConfig, Tracker
 from objconnect.localization.provenance import Environment, Method
 from objconnect.scene.geometry.pose import Pose
-from objconnect.scene.localizer import By, Estimate, Localizer, Query, Status, prepare_first
+from objconnect.scene.localizer import Estimate, Localizer, PoseSource, Query, Status, prepare_first
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.escaping import for_terminal
 from objconnect.scene.runtime.progress import progress_bar
@@ -319,7 +319,7 @@ class Answer(NamedRecord):
     cam_from_world: PoseNumbers | None
     covariance: tuple[float, ...] | None = Field(min_length=36, max_length=36)
     inliers: int
-    by: By | None = None
+    by: PoseSource | None = None
     probability: float | None = None
 
     @staticmethod

@@ -41,7 +41,7 @@ def match(a: Tensor, b: Tensor, ratio: float) -> NDArray[np.int64]:
 
 def _nearest(a: Tensor, b: Tensor, ratio: float) -> tuple[Tensor, Tensor]:
     """Return the nearest row of b for every row of a, and whether it passes the ratio test."""
-    nearest = [(block @ b.T).topk(2, dim=1) for block in a.split(_BLOCK_ROWS)]
+    nearest = [(block @ b.T).topk(2, dim=1) for block in torch.split(a, _BLOCK_ROWS)]
     values, columns = (torch.cat(parts) for parts in zip(*nearest, strict=True))
     distance = (2 - 2 * values).clamp_min(0).sqrt()
     return columns[:, 0], distance[:, 0] < ratio * distance[:, 1]

@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 
 import objconnect.ingestion.command
 import objconnect.ingestion.photographs
-import objconnect.ingestion.plan
 import objconnect.ingestion.rotated_photographs
+import objconnect.ingestion.run_record
 import objconnect.scene.bundle.manifest
 import objconnect.scene.storage.exif
 from benchmark.cli import app
@@ -77,25 +77,31 @@ def test_the_manifest_records_the_options(ingested: Ingested) -> None:
     manifest = ingested[0].manifest
     assert manifest.config["options"] == IngestOptions().model_dump(mode="json")
     before = {key: value for key, value in manifest.config.items() if key != "options"}
-    plan = objconnect.ingestion.plan.read_plan(manifest)
+    plan = objconnect.ingestion.run_record.read_run_record(manifest)
     assert plan is not None
     assert (
-        objconnect.ingestion.plan.read_plan(manifest.model_copy(update={"config": before})) == plan
+        objconnect.ingestion.run_record.read_run_record(
+            manifest.model_copy(update={"config": before})
+        )
+        == plan
     )
     parts = {"control": {"sigma_m": 0.05, "wrong_m": 1.0}, "pairs": {"nearest": 12, "blind": 10}}
     earlier = manifest.model_copy(update={"config": {**before, "options": parts}})
-    assert objconnect.ingestion.plan.read_plan(earlier) == plan
+    assert objconnect.ingestion.run_record.read_run_record(earlier) == plan
     parts["control"]["sigma_m"] = 0.04
-    surveyed = objconnect.ingestion.plan.read_plan(earlier)
+    surveyed = objconnect.ingestion.run_record.read_run_record(earlier)
     assert surveyed is not None
     assert surveyed.options == IngestOptions(control_sigma_m=0.04)
     other = {**manifest.config, "options": {"nearest": 30}}
     assert (
-        objconnect.ingestion.plan.read_plan(manifest.model_copy(update={"config": other})) != plan
+        objconnect.ingestion.run_record.read_run_record(
+            manifest.model_copy(update={"config": other})
+        )
+        != plan
     )
     rendered = {"preset": "town", "seed": 1}
     changed = manifest.model_copy(update={"config": rendered})
-    assert objconnect.ingestion.plan.read_plan(changed) is None
+    assert objconnect.ingestion.run_record.read_run_record(changed) is None
 
 
 def test_poses_are_those_of_the_flight(ingested: Ingested, beach: Path) -> None:

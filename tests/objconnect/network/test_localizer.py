@@ -20,7 +20,7 @@ from objconnect.methods import create
 from objconnect.network.localizer import SHIPPED
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.pose import Pose
-from objconnect.scene.localizer import By, Localizer, Prior, Query, Status
+from objconnect.scene.localizer import Localizer, PoseSource, Prior, Query, Status
 from tests.baselines.pixloc.made_map import CAMERA, looking_down, photograph, write_map
 
 TRUTH = looking_down(9.3, -0.4, (1.5, -1.0, 4.0))
@@ -86,7 +86,7 @@ def something_else() -> Query:
 
 def test_a_picture_of_something_else_is_no_fix(localizer: Localizer) -> None:
     estimate = localizer.localize(something_else())
-    assert (estimate.status, estimate.by) == (Status.FALLBACK, By.PRIOR)
+    assert (estimate.status, estimate.by) == (Status.FALLBACK, PoseSource.PRIOR)
     assert "right with a probability of 0.0" in estimate.reason
 
 

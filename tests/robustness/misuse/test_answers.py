@@ -37,7 +37,7 @@ from objconnect.scene.flights.textfiles import (
 from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu
 from objconnect.scene.geometry.nearest import NearestNeighbours
 from objconnect.scene.geometry.pose import Pose
-from objconnect.scene.localizer import By, Estimate, Prior, Query, Status
+from objconnect.scene.localizer import Estimate, PoseSource, Prior, Query, Status
 from objconnect.scene.maps.colmap_files import read_model
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.storage.exif import Exif, write_jpeg
@@ -212,7 +212,7 @@ def test_what_was_found_outlives_an_interruption(
     flight: Path, photographs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     covariance = np.diag([1e-6] * 3 + [0.04, 0.09, 0.36])
-    found = Estimate(Status.OK, pose_at(1), covariance, inliers=50, by=By.MATCHES)
+    found = Estimate(Status.OK, pose_at(1), covariance, inliers=50, by=PoseSource.MATCHES)
     first = FakeLocalizer({"b.jpg": found, "d.jpg": found, "f.jpg": KeyboardInterrupt()})
     second = FakeLocalizer({"f.jpg": found})
     turns: Iterator[FakeLocalizer] = iter([first, second, second])

@@ -14,7 +14,7 @@ from objconnect.scene.errors import InputError
 from simulate.base_place import base_place
 from simulate.command import render_job, simulate
 from simulate.config import SimulateConfig
-from simulate.place.survey_files import load_site
+from simulate.place.site_files import load_site
 from simulate.place.world import World
 from simulate.twin.report import PLACE_FILE, REPORT_FILE, SiteReport
 from tests.blender import require_blender

@@ -21,7 +21,7 @@ from simulate.config import SimulateConfig
 from simulate.look.conditions import condition
 from simulate.look.sun import sun_position
 from simulate.look.survey_albedo import bake_albedo, bake_specular
-from simulate.place.survey_files import load_site, save_site
+from simulate.place.site_files import load_site, save_site
 from simulate.place.world import World
 from simulate.twin.build import build_site
 from simulate.twin.classes import CROWN, LOW_VEGETATION, PAVED, classify

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from objconnect.localization.cache.map_cache import open_cache
+from objconnect.localization.initial_poses import list_initial_poses
 from objconnect.localization.matching.features import map_features
 from objconnect.localization.matching.lifting import interpolate_points
 from objconnect.localization.matching.pnp import PnpConfig, solve_pose
 from objconnect.localization.matching.retrieval import LazyDescriptors, References
 from objconnect.localization.matching.sift import Sift
-from objconnect.localization.starts import starts
 from objconnect.scene.config import load_config
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
@@ -79,7 +79,7 @@ class Vismatch:
         if not len(chosen):
             return Estimate(Status.FAILED, seconds=clock.seconds, reason="no reference")
         estimates = []
-        for start in starts(query.prior, self._map, chosen):
+        for start in list_initial_poses(query.prior, self._map, chosen):
             with clock.stage("matching"):
                 own = self._view(query.image, query.camera, start)
                 names = [self._map.names[int(row)] for row in chosen]

@@ -22,7 +22,7 @@ from objconnect.localization.featuremetric.matched_finder import MatchedFinder
 from objconnect.localization.featuremetric.refiner import Refiner
 from objconnect.localization.featuremetric.screening import ScreenedCandidate
 from objconnect.scene.geometry.pose import Pose
-from objconnect.scene.localizer import By, Estimate, Query, Status, Stopwatch
+from objconnect.scene.localizer import Estimate, PoseSource, Query, Status, Stopwatch
 from objconnect.scene.maps.sparse_map import SparseMap
 from tests.objconnect.localization.featuremetric.test_attempt import CAMERA, OPTIONS, attempt
 
@@ -45,7 +45,12 @@ def align(east: float, probability: float, variance: float = 1e-4) -> Attempt:
 
 def match(probability: float) -> Estimate:
     return Estimate(
-        Status.OK, at(0), np.eye(6) / 1e4, inliers=20, by=By.MATCHES, probability=probability
+        Status.OK,
+        at(0),
+        np.eye(6) / 1e4,
+        inliers=20,
+        by=PoseSource.MATCHES,
+        probability=probability,
     )
 
 
@@ -89,11 +94,11 @@ def search(
         return next(given)
 
     refine = SimpleNamespace(config=SimpleNamespace(search=OPTIONS), align_near=near)
-    candidates = [Candidate(at(each), 0.0, By.PLACE) for each in eastings]
+    candidates = [Candidate(at(each), 0.0, PoseSource.PLACE) for each in eastings]
     coarse = SimpleNamespace(find=lambda _: iter([candidates]))
     finder = None
     if matched is not None:
-        another = Candidate(at(matched), 0.0, By.MATCHES)
+        another = Candidate(at(matched), 0.0, PoseSource.MATCHES)
         finder = cast(MatchedFinder, SimpleNamespace(find=lambda _: [another]))
     return GlobalSearch(
         cast(Refiner, refine), cast(SparseMap, None), cast(CoarseSearch, coarse), None, finder
@@ -109,14 +114,14 @@ def answer(told: Estimate, *attempts: Attempt) -> Estimate:
 @pytest.mark.parametrize(
     ("matches", "east", "alignment", "by"),
     [
-        (0.9, 0.1, 0.99, By.ALIGNMENT),
-        (0.99, 0.1, 0.9, By.MATCHES),
-        (0.6, 40, 0.999, By.ALIGNMENT),
-        (0.999, 40, 0.6, By.MATCHES),
+        (0.9, 0.1, 0.99, PoseSource.ALIGNMENT),
+        (0.99, 0.1, 0.9, PoseSource.MATCHES),
+        (0.6, 40, 0.999, PoseSource.ALIGNMENT),
+        (0.999, 40, 0.6, PoseSource.MATCHES),
     ],
 )
 def test_matches_and_alignment_share_one_probability(
-    matches: float, east: float, alignment: float, by: By
+    matches: float, east: float, alignment: float, by: PoseSource
 ) -> None:
     found = answer(match(matches), align(east, alignment))
     assert (found.status, found.by) == (Status.OK, by)
@@ -163,7 +168,7 @@ def test_another_method_is_asked_last() -> None:
     attempts = align(10, 0.1), align(50, 0.99), align(50, 0.99)
     made = search(*attempts, eastings=(10,), starts=starts, matched=50, radii=radii)
     found = made(QUERY, None, Stopwatch())
-    assert found is not None and (found.status, found.by) == (Status.OK, By.ALIGNMENT)
+    assert found is not None and (found.status, found.by) == (Status.OK, PoseSource.ALIGNMENT)
     assert starts == [10, 50, 50]
     assert radii == [None, global_search.MATCHES_RADIUS, None]
 

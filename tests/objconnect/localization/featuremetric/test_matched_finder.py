@@ -18,7 +18,7 @@ from objconnect.localization.provenance import Method
 from objconnect.methods import create
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.pose import Pose
-from objconnect.scene.localizer import By, Estimate, Localizer, Prior, Query, Status
+from objconnect.scene.localizer import Estimate, Localizer, PoseSource, Prior, Query, Status
 from tests.baselines.lightglue.weights import options_of
 from tests.baselines.test_hostile import DATASET, QUERY, TRUTH, WHOLE
 
@@ -65,7 +65,7 @@ def test_another_method_leads_to_the_pose_from_a_wrong_prior(
     search = {"matcher": {"method": matcher, **(options or options_of(matcher))}}
     answer = prepare({**ALONE, "search": search}, cache).localize(wrong)
     assert answer.status is Status.OK, answer.reason
-    assert answer.by is By.ALIGNMENT and "matcher" in answer.seconds
+    assert answer.by is PoseSource.ALIGNMENT and "matcher" in answer.seconds
     assert metres_off(answer) < 0.5
 
 
@@ -119,7 +119,7 @@ def find(status: Status, pose: Pose | None, prior: Prior | None) -> list[Pose]:
     finder = MatchedFinder(cast(Localizer, SimpleNamespace(name="mine", localize=localize)))
     found = finder.find(replace(QUERY, prior=prior, tracked=True))
     assert not asked[0].tracked
-    assert all((each.score, each.by) == (7, By.MATCHES) for each in found)
+    assert all((each.score, each.by) == (7, PoseSource.MATCHES) for each in found)
     return [each.pose for each in found]
 
 

@@ -23,8 +23,8 @@ from objconnect.methods import create
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.errors import InputError, PreparationError
 from objconnect.scene.localizer import (
-    By,
     Estimate,
+    PoseSource,
     PreparesLater,
     Prior,
     Query,
@@ -96,7 +96,7 @@ def test_matches_need_no_features_of_the_network(
     hamlet: Dataset, left: FeaturemetricLocalizer, tmp_path: Path
 ) -> None:
     found = left.localize(load_without_prior(hamlet))
-    assert (found.status, found.by) == (Status.OK, By.MATCHES)
+    assert (found.status, found.by) == (Status.OK, PoseSource.MATCHES)
     assert set(found.seconds) == {"matches"}
     assert list_kinds(tmp_path / "cache") == {"sift-points"}
 
@@ -121,7 +121,7 @@ def test_the_first_query_that_needs_them_says_how_long_they_took(
     assert "retrieval" in first.seconds
     assert {stage: s for stage, s in first.seconds.items() if s} == {"preparation": 3600}
     assert "preparation" not in second.seconds
-    assert (first.status, first.by) == (Status.OK, By.ALIGNMENT) and same(first, second)
+    assert (first.status, first.by) == (Status.OK, PoseSource.ALIGNMENT) and same(first, second)
 
 
 @pytest.mark.thorough
@@ -179,7 +179,7 @@ def test_without_matches_nothing_is_left(tmp_path: Path) -> None:
 def test_a_method_that_leaves_nothing_is_prepared(hamlet: Dataset, tmp_path: Path) -> None:
     method = create("sift", {})
     prepare_first(method, hamlet.load_map(), hamlet.images, tmp_path)
-    assert method.localize(load_without_prior(hamlet)).by is By.MATCHES
+    assert method.localize(load_without_prior(hamlet)).by is PoseSource.MATCHES
 
 
 def test_the_command_leaves_them(rendered: Scene, hamlet: Dataset, tmp_path: Path) -> None:
@@ -191,7 +191,7 @@ def test_the_command_leaves_them(rendered: Scene, hamlet: Dataset, tmp_path: Pat
     method = create("objconnect", OPTIONS)
     options = LocalizeOptions(cache=cache)
     (located,) = localize(open_map(rendered.path), folder, method, out, options)
-    assert located.is_localized and located.estimate.by is By.MATCHES
+    assert located.is_localized and located.estimate.by is PoseSource.MATCHES
     assert list_kinds(cache) == {"sift-points"}
     (row,) = csv.DictReader(out.with_suffix(".csv").open())
     assert row["by"] == "matches" and float(row["probability"]) > 0.99

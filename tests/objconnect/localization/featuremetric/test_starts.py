@@ -14,7 +14,7 @@ from objconnect.localization.featuremetric.acceptance import AcceptanceModel
 from objconnect.methods import create
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.views import warp_image
-from objconnect.scene.localizer import By, Estimate, Localizer, Query, Status
+from objconnect.scene.localizer import Estimate, Localizer, PoseSource, Query, Status
 from tests.baselines.test_hostile import DATASET, QUERY, TRUTH, WHOLE, noise
 
 SETTINGS: dict[str, dict[str, Any]] = {
@@ -73,7 +73,7 @@ def test_poses_of_matches_are_answered_unless_an_aligned_one_is_believed(
     assert answer.cam_from_world is not None
     metres, _ = answer.cam_from_world.error_to(matched.cam_from_world)
     assert (float(metres) < 1e-9) == (case != "aligned")
-    assert answer.by is (By.ALIGNMENT if case == "aligned" else By.MATCHES)
+    assert answer.by is (PoseSource.ALIGNMENT if case == "aligned" else PoseSource.MATCHES)
     assert_right(answer)
 
 

@@ -18,7 +18,7 @@ from objconnect.methods import create
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.views import warp_image
-from objconnect.scene.localizer import By, Estimate, Prior, Query, Status
+from objconnect.scene.localizer import Estimate, PoseSource, Prior, Query, Status
 from objconnect.scene.maps.sparse_map import SparseMap
 from tests.baselines.pixloc.made_map import CAMERA, looking_down, photograph, write_map
 
@@ -73,7 +73,7 @@ def test_a_track_agrees_with_the_full_query(localizer: FeaturemetricLocalizer) -
     apart = followed.cam_from_world.error_to(full.cam_from_world)
     for metres, degrees in (errors(full), map(float, apart)):
         assert metres < 0.1 and degrees < 0.25
-    assert (followed.by, full.by) == (By.TRACKING, By.ALIGNMENT)
+    assert (followed.by, full.by) == (PoseSource.TRACKING, PoseSource.ALIGNMENT)
     assert followed.iterations < full.iterations
     assert followed.covariance is not None and np.isfinite(followed.covariance).all()
 

@@ -27,7 +27,7 @@ from objconnect.scene.bundle.georeference import EXACT_GEOREFERENCE as EXACT
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic
 from objconnect.scene.geometry.pose import Pose
-from objconnect.scene.localizer import By, Estimate, Status
+from objconnect.scene.localizer import Estimate, PoseSource, Status
 from objconnect.scene.storage.outputs import check_outputs
 from tests.benchmark.made_data import QUERY_NAMES, FakeLocalizer, pose_at, write_flight
 from tests.benchmark.test_cli import error_line, invoke
@@ -44,7 +44,7 @@ def looking(yaw: float, pitch: float, roll: float, covariance: bool = True) -> E
     spread = np.random.default_rng(1).normal(size=(6, 6)) * 1e-2
     known = spread @ spread.T if covariance else None
     pose = Pose(rotation, -rotation @ centre)
-    return Estimate(Status.OK, pose, known, inliers=40, by=By.ALIGNMENT)
+    return Estimate(Status.OK, pose, known, inliers=40, by=PoseSource.ALIGNMENT)
 
 
 def write(located: list[ImageEstimate], out: Path, undulation: float | None = None) -> None:

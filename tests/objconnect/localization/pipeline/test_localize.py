@@ -18,7 +18,7 @@ from objconnect.localization.pipeline.localize import Answer
 from objconnect.scene.flights.textfiles import read_poses
 from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic, geodetic_from_enu
 from objconnect.scene.geometry.pose import Pose
-from objconnect.scene.localizer import By, Estimate, Query, Status
+from objconnect.scene.localizer import Estimate, PoseSource, Query, Status
 from objconnect.scene.storage.exif import Exif, write_jpeg
 from tests.benchmark.made_data import CAMERA, QUERY_NAMES, FakeLocalizer, pose_at
 
@@ -39,9 +39,16 @@ def method(monkeypatch: pytest.MonkeyPatch) -> Remembering:
     localizer = Remembering(
         {
             "b.jpg": Estimate(
-                Status.OK, pose_at(1), covariance, inliers=50, by=By.MATCHES, probability=0.98765
+                Status.OK,
+                pose_at(1),
+                covariance,
+                inliers=50,
+                by=PoseSource.MATCHES,
+                probability=0.98765,
             ),
-            "d.jpg": Estimate(Status.FALLBACK, pose_at(3), reason="only the prior", by=By.PRIOR),
+            "d.jpg": Estimate(
+                Status.FALLBACK, pose_at(3), reason="only the prior", by=PoseSource.PRIOR
+            ),
             "f.jpg": Estimate(Status.FAILED, reason="3 matches, 4 are needed"),
         }
     )
@@ -193,6 +200,8 @@ def test_the_risk_is_that_of_the_search(
 
 @pytest.mark.parametrize("probability", [0.98765, None])
 def test_the_journal_keeps_the_probability(probability: float | None) -> None:
-    estimate = Estimate(Status.OK, pose_at(1), np.eye(6), by=By.MATCHES, probability=probability)
+    estimate = Estimate(
+        Status.OK, pose_at(1), np.eye(6), by=PoseSource.MATCHES, probability=probability
+    )
     line = Answer.of("b.jpg", "asked", estimate).model_dump_json()
     assert Answer.model_validate_json(line).estimate().probability == probability

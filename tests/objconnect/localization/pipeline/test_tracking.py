@@ -14,7 +14,7 @@ from objconnect.localization.pipeline.tracking import SequenceConfig, Tracker
 from objconnect.scene.config import Config
 from objconnect.scene.geometry.gimbal import gimbal_pose
 from objconnect.scene.geometry.pose import Pose
-from objconnect.scene.localizer import By, Estimate, Prior, Query, Status
+from objconnect.scene.localizer import Estimate, PoseSource, Prior, Query, Status
 from objconnect.scene.maps.sparse_map import SparseMap
 from tests.benchmark.made_data import CAMERA
 
@@ -117,7 +117,7 @@ def test_a_track_that_contradicts_the_motion_is_localized_as_any_image_near_its_
 
     def answer(query: Query) -> Estimate:
         aside = 6.0 if frame_of(query) == 8 and query.tracked else 0.0
-        by = By.TRACKING if query.tracked else By.ALIGNMENT
+        by = PoseSource.TRACKING if query.tracked else PoseSource.ALIGNMENT
         return replace(make_estimate(pose_at(frame_of(query), aside)), by=by)
 
     estimates, localizer, tracker = run(answer)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.views import north_angle, roll_rotation, rotate_north_up
-from objconnect.scene.localizer import By, Prior
+from objconnect.scene.localizer import PoseSource, Prior
 from objconnect.scene.maps.sparse_map import SparseMap
 
 # An altitude whose sigma exceeds this share of the height above ground is treated as unknown.
@@ -23,7 +23,7 @@ _SAME_HEIGHT_RATIO: Final = 1.15
 _SAME_HEADING_DEG: Final = 45.0
 
 
-def starts(
+def list_initial_poses(
     prior: Prior | None,
     sparse_map: SparseMap,
     reference_rows: NDArray[np.int64],
@@ -85,9 +85,9 @@ def _rotate_to_headings(pose: Pose, headings: int) -> list[Pose]:
     return [Pose(rotation, -rotation @ pose.centre()) for rotation in rotations]
 
 
-def source_of_starts(prior: Prior | None) -> By:
+def source_of_initial_poses(prior: Prior | None) -> PoseSource:
     """Return the source of the position in ``starts``: the prior or reference images."""
-    return By.PRIOR if prior is not None and prior.has_position else By.RETRIEVAL
+    return PoseSource.PRIOR if prior is not None and prior.has_position else PoseSource.RETRIEVAL
 
 
 def _distinct_heights(heights: Sequence[float]) -> list[int]:

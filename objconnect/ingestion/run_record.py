@@ -1,4 +1,4 @@
-"""The plan of a run of ``ingest``: its inputs and options, by which an interrupted run resumes."""
+"""The record of a run of ``ingest``: inputs and options, by which an interrupted run resumes."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ WORK = f"{TEMPORARY_PREFIX}ingest"
 DATABASE = Path("database.db")
 """COLMAP's database of features and matches, in ``WORK``."""
 
-_PLAN = "plan.json"
+_RECORD = "record.json"
 
 
-class Plan(BaseModel):
-    """The inputs and options of a run. A folder with another plan is refused.
+class RunRecord(BaseModel):
+    """The inputs and options of a run. A folder with another record is refused.
 
     ``gps``, ``poses`` and ``gcp`` are digests of files, ``photographs`` holds digests by file.
     ``base`` is the digest of the scene that photographs are added to, and ``known`` holds the
@@ -59,22 +59,22 @@ class Plan(BaseModel):
         return take_recorded(IngestOptions, options) if isinstance(options, dict) else options
 
 
-def open_unfinished(out: Path, plan: Plan) -> ResumableFolder:
-    """Return the folder of a scene, which stores the plan while it is unfinished."""
+def open_unfinished(out: Path, record: RunRecord) -> ResumableFolder:
+    """Return the folder of a scene, which stores the record while it is unfinished."""
 
-    def difference(record: Path) -> str | None:
-        recorded = read_json(record, Plan, "plan of the unfinished scene")
-        return None if recorded == plan else "photographs or options"
+    def difference(path: Path) -> str | None:
+        recorded = read_json(path, RunRecord, "record of the unfinished scene")
+        return None if recorded == record else "photographs or options"
 
-    text = plan.model_dump_json(indent=1, by_alias=True) + "\n"
-    return ResumableFolder(out, out / WORK / _PLAN, text, difference)
+    text = record.model_dump_json(indent=1, by_alias=True) + "\n"
+    return ResumableFolder(out, out / WORK / _RECORD, text, difference)
 
 
-def is_finished(out: Path, plan: Plan) -> bool:
-    """Return whether the folder holds the finished scene of a plan; refuse any other content."""
-    unfinished = open_unfinished(out, plan)
+def is_finished(out: Path, record: RunRecord) -> bool:
+    """Return whether the folder holds the finished scene of a record; refuse any other content."""
+    unfinished = open_unfinished(out, record)
     if (out / MANIFEST).is_file():
-        if read_plan(Scene.open(out).manifest) != plan:
+        if read_run_record(Scene.open(out).manifest) != record:
             raise InputError(
                 f"{out} holds a scene of other photographs or options: choose another folder or "
                 "remove it"
@@ -91,13 +91,13 @@ def is_finished(out: Path, plan: Plan) -> bool:
     return False
 
 
-def flight_manifest(plan: Plan, origin: Geodetic, session: str) -> Manifest:
+def flight_manifest(record: RunRecord, origin: Geodetic, session: str) -> Manifest:
     """Return the manifest of a scene of one flight, without digests."""
     return Manifest(
         versions={n: version(n) for n in ("objconnect", "pycolmap", "numpy", "pillow", "h5py")},
         preset=None,
         seed=None,
-        config=plan.model_dump(mode="json"),
+        config=record.model_dump(mode="json"),
         origin=origin,
         reference="sfm",
         sessions={session: Session(condition="same-flight", flight="photographs", role="both")},
@@ -107,16 +107,16 @@ def flight_manifest(plan: Plan, origin: Geodetic, session: str) -> Manifest:
 
 def make_scene(
     out: Path,
-    plan: Plan,
+    record: RunRecord,
     build: Callable[[], IngestReport],
     owned: Collection[str],
     manifest: Manifest,
 ) -> IngestReport:
-    """Make or continue the scene of a plan; return the report of a finished one.
+    """Make or continue the scene of a record; return the report of a finished one.
 
     Args:
         out: Folder of the scene.
-        plan: The inputs and options.
+        record: The inputs and options.
         build: Writes everything of the scene but its manifest.
         owned: Files that ``build`` may write, for ``remove_owned``.
         manifest: The manifest without digests and georeference, which the report adds.
@@ -124,9 +124,9 @@ def make_scene(
     Raises:
         InputError: The folder holds something else, or for the reasons of ``build``.
     """
-    if is_finished(out, plan):
+    if is_finished(out, record):
         return read_json(out / REPORT, IngestReport, "report of the ingested flight")
-    unfinished = open_unfinished(out, plan)
+    unfinished = open_unfinished(out, record)
     unfinished.begin()
     try:
         report = build()
@@ -141,12 +141,12 @@ def make_scene(
     return report
 
 
-def read_plan(manifest: Manifest) -> Plan | None:
-    """Return the plan of a scene; None if it was not made from photographs.
+def read_run_record(manifest: Manifest) -> RunRecord | None:
+    """Return the record of a scene; None if it was not made from photographs.
 
     Options that did not exist when the scene was made have their defaults.
     """
     try:
-        return Plan.model_validate(manifest.config)
+        return RunRecord.model_validate(manifest.config)
     except ValidationError:
         return None

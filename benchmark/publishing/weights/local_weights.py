@@ -30,7 +30,7 @@ _LIMITS: Final = "limits: "
 
 
 @dataclass(frozen=True)
-class Source:
+class LocalWeights:
     """A file of weights to publish.
 
     Attributes:
@@ -57,8 +57,8 @@ class Source:
         return (self.file, *self.calibration)
 
 
-def open_source(weights: str, license_id: str | None) -> Source:
-    """Open weights that come with the project by name, and other weights by file.
+def find_local_weights(weights: str, license_id: str | None) -> LocalWeights:
+    """Find weights that come with the project by name, and other weights by file.
 
     Args:
         weights: a key of ``SHIPPED``, or a ``.safetensors`` file.
@@ -82,7 +82,7 @@ def open_source(weights: str, license_id: str | None) -> Source:
         raise InputError(f"{file}: state the licence of your weights with --license")
     sha256 = sha256_of(file)
     method, bullets = _read_card(file, sha256)
-    return Source(
+    return LocalWeights(
         file=file,
         sha256=sha256,
         method=method,
