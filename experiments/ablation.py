@@ -183,7 +183,7 @@ def _table(rows: Sequence[_Row]) -> Iterator[str]:
         cells = [each.text() for each in recalls]
         found = [is_correct(query, _THRESHOLD) for query in row.queries()]
         change = compare(first, found)
-        p = permutation_p(first, found, [query.cluster for query in row.queries()])
+        p = permutation_p(first, found, [query.course_name for query in row.queries()])
         chance = "p unknown" if p is None else f"p = {p:.2g}"
         verdict = "" if row is rows[0] else f"{change.won} won, {change.lost} lost, {chance}"
         seconds = [query.seconds[TOTAL] for query in row.queries()]

@@ -77,7 +77,7 @@ def count_false_fixes(answers: Sequence[QueryResult]) -> int:
 
 def count_courses(answers: Sequence[QueryResult]) -> int:
     """Return the number of courses of the queries."""
-    return len({answer.cluster for answer in answers})
+    return len({answer.course_name for answer in answers})
 
 
 def _worse_share(answers: Sequence[QueryResult]) -> str:

@@ -48,8 +48,8 @@ def screen_query(searched: SearchedQuery) -> list[ScreenedCandidate]:
     for candidates in search.find(query, clock):
         for candidate in candidates:
             times, rough_peaks = [process_time()], []
-            for coarser in _PIXEL_RATIOS:
-                rough_peaks.append(rough_peak(search.refine, query, candidate, coarser))
+            for pixel_ratio in _PIXEL_RATIOS:
+                rough_peaks.append(rough_peak(search.refine, query, candidate, pixel_ratio))
                 times.append(process_time())
             attempt = search.refine.align_near(query, candidate.pose, clock)
             times.append(process_time())
@@ -65,9 +65,9 @@ def _print_table(queries: list[list[ScreenedCandidate]]) -> None:
     findable = [each for each in queries if any(one.is_right for one in each)]
     seconds = np.mean([one.seconds for each in queries for one in each], axis=0)
     print(f"{len(findable)} of {len(queries)} queries have a right candidate")
-    print("| coarser | first | least right | others: 50, 90, 99 % | seconds |")
+    print("| pixel ratio | first | least right | others: 50, 90, 99 % | seconds |")
     print("|--:|--:|--:|--:|--:|")
-    for k, coarser in enumerate(_PIXEL_RATIOS):
+    for k, pixel_ratio in enumerate(_PIXEL_RATIOS):
         peaks = defaultdict(list)
         for each in queries:
             for one in each:
@@ -76,7 +76,7 @@ def _print_table(queries: list[list[ScreenedCandidate]]) -> None:
         least = min(max(one.rough_peaks[k] for one in each if one.is_right) for each in findable)
         others = np.quantile(peaks[False], (0.5, 0.9, 0.99))
         shown = ", ".join(f"{value:.1f}" for value in others)
-        print(f"| {coarser:g} | {first} | {least:.1f} | {shown} | {seconds[k]:.2f} |")
+        print(f"| {pixel_ratio:g} | {first} | {least:.1f} | {shown} | {seconds[k]:.2f} |")
     print(f"full alignment: {seconds[-1]:.2f} s")
 
 

@@ -32,7 +32,7 @@ from objconnect.scene.storage.atomic import atomic_write
 from objconnect.scene.storage.outputs import OutputFile, check_outputs
 from objconnect.scene.storage.provenance import PNG_MARK, PNG_METADATA
 from objconnect.scene.storage.scratch import scratch
-from simulate.camera.lens import split_lens
+from simulate.camera.lens import cover_by_pinhole
 from simulate.camera.resample import resample_colour
 from simulate.render.job import Board, RenderJob, frame_path
 from simulate.render.pool import RenderError, render
@@ -283,13 +283,13 @@ def _render_views(
     camera: Camera, poses: Array, seed: int, out: Path
 ) -> dict[str, NDArray[np.uint8]]:
     """Render the board at every pose, and return the pictures (H, W, 3) by file name."""
-    pinhole, lens = split_lens(camera)
+    pinhole, distorted_camera = cover_by_pinhole(camera)
     job = RenderJob(
         seed=seed,
         side_m=1.0,
         condition="summer-noon",
         camera=pinhole,
-        lens=lens,
+        distorted_camera=distorted_camera,
         board=BOARD,
         samples=_SAMPLES,
         poses={k: pose.tolist() for k, pose in enumerate(poses)},

@@ -34,7 +34,7 @@ from objconnect.scene.storage.locks import write_lock
 from objconnect.scene.storage.resumable import ResumableFolder
 from simulate.annotations import measure_covisibility, pixel_digests
 from simulate.base_place import base_place, check_site, keep_site, site_file
-from simulate.camera.lens import split_lens
+from simulate.camera.lens import cover_by_pinhole
 from simulate.camera.sensor import expose
 from simulate.config import SessionConfig, SimulateConfig
 from simulate.flight.clearance import check_flight
@@ -225,7 +225,7 @@ def render_job(
 
     ``first_new_id`` is the first id of added objects, ``site_path`` the file of a site's place.
     """
-    pinhole, lens = split_lens(config.photo_camera(session))
+    pinhole, distorted_camera = cover_by_pinhole(config.photo_camera(session))
     travel = config.sensor.readout_s * velocities(poses, config.interval_s)
     return RenderJob(
         preset=config.preset,
@@ -237,7 +237,7 @@ def render_job(
         first_new_id=first_new_id,
         site_path=site_path,
         camera=pinhole,
-        lens=lens,
+        distorted_camera=distorted_camera,
         samples=config.spp,
         denoising=config.denoising,
         poses={k: pose.tolist() for k, pose in enumerate(poses)},

@@ -13,7 +13,7 @@ from pydantic import Field, field_validator, model_validator
 from objconnect.scene.config import Config, load_config
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.geodesy import Geodetic
-from simulate.camera.lens import CameraConfig, split_lens
+from simulate.camera.lens import CameraConfig, cover_by_pinhole
 from simulate.camera.sensor import SensorConfig
 from simulate.flight.config import (
     MAP_PLAN,
@@ -313,7 +313,7 @@ class SimulateConfig(Config):
     @model_validator(mode="after")
     def _check_rolling_shutter(self) -> SimulateConfig:
         cameras = (self.photo_camera(session) for session in self.sessions)
-        if self.sensor.readout_s and any(split_lens(c)[1] is not None for c in cameras):
+        if self.sensor.readout_s and any(cover_by_pinhole(c)[1] is not None for c in cameras):
             raise ValueError(
                 "rolling shutter (sensor.readout_s) is not supported with lens distortion or two "
                 "focal lengths: use a pinhole camera or set it to 0"

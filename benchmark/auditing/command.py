@@ -29,7 +29,7 @@ from benchmark.auditing.matches import match_photographs
 from benchmark.auditing.opening import open_data
 from benchmark.auditing.page import check_page, write_page
 from benchmark.auditing.photograph_order import find_order
-from benchmark.auditing.positions import FOLLOW, check_positions
+from benchmark.auditing.positions import ALIGNED, check_positions
 from benchmark.auditing.statements import StatedData, centres, sample
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.imports.poses import CoordinateFrame
@@ -76,20 +76,20 @@ def _audit_one(stated: StatedData) -> Audit:
     for line in summarize_doubts({name: exif.doubts for name, exif in tags if exif is not None}):
         log.warning("%s", line)
     findings = list(check_files(stated, photographs))
-    positions, names_confirmed, plan = stated.positions, False, np.zeros((0, 4))
+    positions, names_confirmed, xy_pairs = stated.positions, False, np.zeros((0, 4))
     if stated.cam_from_world is not None:
         geometry, positions = _check_geometry(stated, photographs)
         names_confirmed = any(f.check == CHECK and f.verdict is Verdict.RIGHT for f in geometry)
         findings += geometry
     if positions is None and stated.cam_from_world is not None:
         why = "not compared: it is unknown which position belongs to which photograph"
-        findings.append(unknown(FOLLOW, why))
+        findings.append(unknown(ALIGNED, why))
     else:
-        position_findings, plan = check_positions(
+        position_findings, xy_pairs = check_positions(
             stated, positions, photographs.exif, names_confirmed
         )
         findings += position_findings
-    rows = tuple(tuple(row) for row in plan.tolist())
+    rows = tuple(tuple(row) for row in xy_pairs.tolist())
     return Audit(stated.subject, stated.kind, len(stated), tuple(findings), rows)
 
 

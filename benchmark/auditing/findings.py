@@ -60,15 +60,15 @@ class Audit:
         kind: its format.
         photographs: number of photographs that it lists.
         findings: one for each check.
-        plan: stated east and north, then measured east and north (m) of each photograph with GPS;
-            empty without GPS.
+        stated_and_measured_xy: stated east and north, then measured east and north (m) of each
+            photograph with GPS; empty without GPS.
     """
 
     subject: str
     kind: str
     photographs: int
     findings: tuple[Finding, ...]
-    plan: tuple[tuple[float, ...], ...] = ()
+    stated_and_measured_xy: tuple[tuple[float, ...], ...] = ()
 
     @property
     def ok(self) -> bool:
@@ -87,9 +87,9 @@ class Audit:
             f"{_MARKS[finding.verdict]} {finding.check:<{width}}  {finding.detail}"
             for finding in self.findings
         ]
-        return "\n".join([*lines, f"{self.subject} ({self.kind}): {self.verdict()}"])
+        return "\n".join([*lines, f"{self.subject} ({self.kind}): {self.count_verdicts()}"])
 
-    def verdict(self) -> str:
+    def count_verdicts(self) -> str:
         """Return the number of checks with each verdict, in words."""
         count = {v: sum(f.verdict is v for f in self.findings) for v in Verdict}
         parts = [f"{count[Verdict.WRONG]} wrong", f"{count[Verdict.RIGHT]} right"]

@@ -87,7 +87,7 @@ def _is_dataset(path: Path) -> bool:
     """
     if (path / "queries.txt").exists() or (path / "reference_poses.txt").exists():
         return True
-    return bool(READERS.load("cmu").is_one(path))
+    return bool(READERS.load("cmu").recognizes(path))
 
 
 def _read_scene(scene: Scene) -> StatedData:

@@ -46,7 +46,7 @@ def _to_content(audit: Audit) -> dict[str, Any]:
     ]
     plan = [
         [round(value, 2) for value in row]
-        for row in audit.plan
+        for row in audit.stated_and_measured_xy
         if all(math.isfinite(value) for value in row)
     ]
     return {

@@ -23,14 +23,15 @@ from objconnect.scene.storage.exif import Exif
 Array = NDArray[np.float64]
 
 LATLON = "latitudes and longitudes are those of the photographs"
-FOLLOW = "positions follow the photographs' GPS"
+ALIGNED = "positions agree with the photographs' GPS after alignment"
 SCALE = "the world is in metres"
-EAST_NORTH = "positions lie where the photographs' GPS is"
+EAST_NORTH = "positions have no horizontal offset from the photographs' GPS"
 HEIGHTS = "heights are those of the photographs"
 
 MIN_POSITIONS = 3
-# Positions follow GPS if the residual is below this share of the flight's extent.
-_FOLLOWS = 0.3
+# Positions agree with GPS if the residual after a similarity alignment is below this share of the
+# flight's extent.
+_AGREES = 0.3
 # A mistake is found if the residual shrinks to this share once it is corrected.
 _SHRINKS = 0.2
 # A world is metric if the logarithm of its scale is below this; errors of GPS positions and of
@@ -140,7 +141,7 @@ def check_positions(
     if pairs is None or len(pairs.measured) < MIN_POSITIONS:
         return [*findings, _report_missing_gps(stated, int(has_gps.sum()))], np.zeros((0, 4))
     findings += _compare(pairs, names_confirmed, positions is not None)
-    return findings, _plan(pairs)
+    return findings, _stated_and_measured_xy(pairs)
 
 
 def _fill_heights(
@@ -164,7 +165,7 @@ def _fill_heights(
     ]
 
 
-def _plan(pairs: _PositionPairs) -> Array:
+def _stated_and_measured_xy(pairs: _PositionPairs) -> Array:
     """Return east and north (m) as stated and as measured, (n, 4), for the drawing.
 
     Stated positions of another world are aligned to the measured ones.
@@ -192,7 +193,7 @@ def _report_missing_gps(stated: StatedData, count: int) -> Finding:
             detail = f"{name} is at {row[0]:g}, {row[1]:g}, which is not on earth: {description}"
             return wrong(LATLON, fault, detail)
     what = "a GPS position" if stated.geodetic is not None else "a GPS position with its altitude"
-    return unknown(FOLLOW, f"{count} photographs have {what}, {MIN_POSITIONS} are needed")
+    return unknown(ALIGNED, f"{count} photographs have {what}, {MIN_POSITIONS} are needed")
 
 
 def _check_latlon(stated_geodetic: Array, fixes: Sequence[Geodetic]) -> tuple[Finding, Array]:
@@ -242,15 +243,15 @@ def _compare(pairs: _PositionPairs, names_confirmed: bool, has_poses: bool) -> I
     """Yield the findings on the course, the scale and the offsets of stated positions."""
     extent = pairs.extent
     if extent < 1.0:
-        yield unknown(FOLLOW, f"the photographs were taken within {extent:.1f} m")
+        yield unknown(ALIGNED, f"the photographs were taken within {extent:.1f} m")
         return
     fitted, residual = _fit(pairs.stated, pairs.measured)
     scale = float(np.cbrt(max(np.linalg.det(fitted[:, :3]), 0.0)))
-    if residual > _FOLLOWS * extent:
+    if residual > _AGREES * extent:
         yield _explain(pairs, residual, names_confirmed)
         return
     yield right(
-        FOLLOW,
+        ALIGNED,
         f"{residual:.2f} m (median) from GPS after similarity alignment, over {extent:.0f} m",
         residual_m=residual,
     )
@@ -283,7 +284,7 @@ def _fit(stated: Array, measured: Array) -> tuple[Array, float]:
 
 
 def _explain(pairs: _PositionPairs, residual: float, names_confirmed: bool) -> Finding:
-    """Return why positions do not follow GPS: shifted, shuffled, mirrored or inexact."""
+    """Return why positions do not agree with GPS: shifted, shuffled, mirrored or inexact."""
     figures = {"residual_m": residual}
     stated, measured = pairs.stated, pairs.measured
     if len(stated) > 2 * max(SHIFTS) and not names_confirmed:
@@ -295,17 +296,17 @@ def _explain(pairs: _PositionPairs, residual: float, names_confirmed: bool) -> F
                 f"positions belong to the photographs {abs(k)} {when}: with this shift they are "
                 f"{shifted[k]:.1f} m from GPS, as stated {residual:.1f} m"
             )
-            return wrong(FOLLOW, "positions-shifted", detail, **figures, photographs=float(-k))
+            return wrong(ALIGNED, "positions-shifted", detail, **figures, photographs=float(-k))
     mirrored = _fit(stated * [1, 1, -1], measured)[1]
     if mirrored < _SHRINKS * residual:
         detail = f"the world is mirrored (left-handed): mirrored back it is {mirrored:.1f} m off"
-        return wrong(FOLLOW, "world-mirrored", detail, **figures)
+        return wrong(ALIGNED, "world-mirrored", detail, **figures)
     if names_confirmed:
         why = (
             f"poses agree with the photographs, but GPS is {residual:.1f} m (median) from them "
             "after similarity alignment: it lags behind, or is too coarse to compare with"
         )
-        return unknown(FOLLOW, why, **figures)
+        return unknown(ALIGNED, why, **figures)
     if pairs.absolute:
         distances = np.linalg.norm(stated[:, None, :2] - measured[None, :, :2], axis=-1)
         to_nearest = float(np.median(distances.min(1)))
@@ -315,9 +316,9 @@ def _explain(pairs: _PositionPairs, residual: float, names_confirmed: bool) -> F
                 f"names are shuffled: positions are {to_nearest:.1f} m (median) from the nearest "
                 f"GPS position, but {to_same_name:.1f} m from that of the same name"
             )
-            return wrong(FOLLOW, "names-shuffled", detail, **figures)
+            return wrong(ALIGNED, "names-shuffled", detail, **figures)
     detail = f"{residual:.1f} m (median) from GPS after similarity alignment"
-    return wrong(FOLLOW, "positions-off", detail, **figures)
+    return wrong(ALIGNED, "positions-off", detail, **figures)
 
 
 def _shift_pairs(stated: Array, measured: Array, k: int) -> tuple[Array, Array]:

@@ -240,12 +240,12 @@ def basin(
     exactly that much, in the same direction for every method. Refiners start from this pose; sift
     matches the map photographs nearest to it.
     """
-    from benchmark.evaluation.basin import DEFAULT_SIZES, basin_path, parse_sizes
+    from benchmark.evaluation.basin import DEFAULT_ERRORS, basin_path, parse_errors
     from benchmark.evaluation.basin import basin as run
     from objconnect.methods import create
 
     check_methods(method)
-    sizes = DEFAULT_SIZES if errors is None else parse_sizes(errors)
+    prior_errors = DEFAULT_ERRORS if errors is None else parse_errors(errors)
     settings = parse_settings(overrides)
     localizers = [create(name, settings) for name in method]
     opened = open_distinct_datasets(datasets)
@@ -253,7 +253,7 @@ def basin(
     basins = {}
     for dataset in opened:
         for localizer in localizers:
-            measured = run(dataset, localizer, out, sizes, seed, cache)
+            measured = run(dataset, localizer, out, prior_errors, seed, cache)
             basins[str(basin_path(out, dataset, localizer))] = measured
     text = "\n".join(f"{path}\n{measured.text()}" for path, measured in basins.items())
     emit(Summary(text, {"basins": basins}), as_json)

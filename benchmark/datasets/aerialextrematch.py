@@ -49,7 +49,7 @@ class AerialExtreMatchReader:
     name = "aerialextrematch"
     holds = f"{_POSES} and {_CAMERAS} (AerialExtreMatch-Localization)"
 
-    def is_one(self, path: Path) -> bool:
+    def recognizes(self, path: Path) -> bool:
         """Return whether a folder looks like the data set, complete or not."""
         return (path / _POSES).is_file() and (path / _CAMERAS).is_file()
 

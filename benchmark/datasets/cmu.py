@@ -85,7 +85,7 @@ class CmuReader:
     name = "cmu"
     holds = f"{INTRINSICS} and slice folders (Extended CMU Seasons)"
 
-    def is_one(self, path: Path) -> bool:
+    def recognizes(self, path: Path) -> bool:
         """Return whether a path is the folder of the data set, or of one slice of it."""
         return path.is_dir() and is_cmu(path)
 

@@ -48,12 +48,12 @@ def is_flight(path: Path) -> bool:
     return any((path / mark).exists() for mark in marks)
 
 
-def open_flight(path: Path, sparse: bool = False) -> list[Dataset]:
+def open_flight(path: Path, hard_only: bool = False) -> list[Dataset]:
     """Open a flight and, where it has one, its hard split.
 
     Args:
         path: folder of the flight.
-        sparse: open the hard split alone.
+        hard_only: open the hard split alone.
 
     Raises:
         InputError: a file is missing or wrong, a query has no reference pose or no photograph, a
@@ -61,7 +61,7 @@ def open_flight(path: Path, sparse: bool = False) -> list[Dataset]:
     """
     name = path.resolve().name
     hard = path / "sparse" / "map_sparse"
-    if sparse:
+    if hard_only:
         return [_open_split(path, name + SPARSE_SUFFIX, hard, "_sparse")]
     datasets = [_open_split(path, name, path / "sparse" / "map", "")]
     if hard.exists():
@@ -75,7 +75,7 @@ class FlightReader:
     name = "flight"
     holds = "queries.txt, reference_poses.txt and sparse/map (a flight)"
 
-    def is_one(self, path: Path) -> bool:
+    def recognizes(self, path: Path) -> bool:
         """Return whether a path is a flight's folder, or that folder with the ending "-sparse"."""
         if path.is_dir():
             return is_flight(path)
@@ -86,7 +86,7 @@ class FlightReader:
         """Open a flight; ``open_flight`` says which errors are raised."""
         if path.is_dir():
             return open_flight(path)
-        datasets = open_flight(_strip_suffix(path), sparse=True)
+        datasets = open_flight(_strip_suffix(path), hard_only=True)
         return [dataset for dataset in datasets if dataset.name == path.name]
 
 
@@ -212,7 +212,7 @@ def _assume_sigmas(table: PriorTable, frame: MapFrame, sparse_map: SparseMap) ->
     if table.states_all_sigmas:
         return AssumedSigmas()
     sigma = gps_sigma(table.positions(frame, sparse_map.images), sparse_map)
-    return AssumedSigmas(sigma, source_m="they are measured on the photographs of the map")
+    return AssumedSigmas(sigma, sigma_m_source="they are measured on the photographs of the map")
 
 
 def gps_sigma(

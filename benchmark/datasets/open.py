@@ -24,12 +24,12 @@ class Reader(Protocol):
         """Phrase for error messages: the files of the folder, then the kind in parentheses."""
         ...
 
-    def is_one(self, path: Path) -> bool:
+    def recognizes(self, path: Path) -> bool:
         """Return whether a path is a data set of this kind, whether or not it is complete."""
         ...
 
     def open(self, path: Path) -> list[Dataset]:
-        """Open a path of which ``is_one`` is true.
+        """Open a path that ``recognizes`` accepts.
 
         Raises:
             InputError: a file is missing or wrong.
@@ -93,6 +93,6 @@ def reader_of(path: Path) -> Reader | None:
     for name in READERS:
         reader = READERS.load(name)
         with READERS.blame(name, f"cannot read {path}"):
-            if reader.is_one(path):
+            if reader.recognizes(path):
                 return reader
     return None

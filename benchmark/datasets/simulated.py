@@ -61,7 +61,7 @@ class SceneReader:
     name = "scene"
     holds = f"{MANIFEST} (a finished scene)"
 
-    def is_one(self, path: Path) -> bool:
+    def recognizes(self, path: Path) -> bool:
         """Return whether a path is the folder of a finished scene."""
         return is_scene(path)
 

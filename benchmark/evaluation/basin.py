@@ -32,7 +32,7 @@ from benchmark.results.results import DatasetId
 from benchmark.results.results_files import BASIN, method_in
 from benchmark.scoring.intervals import share_of_counts
 from benchmark.scoring.score import THRESHOLDS, is_correct
-from benchmark.scoring.summary import Recall
+from benchmark.scoring.summary import Percentage
 from objconnect.localization.pipeline.failures import localize_safely
 from objconnect.localization.provenance import Environment, Method
 from objconnect.scene.bundle.manifest import read_json
@@ -50,7 +50,7 @@ _SIZE: Final = re.compile(r"([0-9]*\.?[0-9]+)m/([0-9]*\.?[0-9]+)deg")
 Count = Annotated[int, Field(ge=0, le=MAX_STORED)]
 
 
-class Size(NamedTuple):
+class PriorError(NamedTuple):
     """The error of a prior: metres of its position, degrees of its attitude."""
 
     metres: float
@@ -60,8 +60,8 @@ class Size(NamedTuple):
         return f"{self.metres:g}m/{self.degrees:g}deg"
 
 
-DEFAULT_SIZES: Final = tuple(
-    Size(*size) for size in ((0, 0), (1, 2), (3, 5), (8, 10), (15, 20), (30, 30))
+DEFAULT_ERRORS: Final = tuple(
+    PriorError(*error) for error in ((0, 0), (1, 2), (3, 5), (8, 10), (15, 20), (30, 30))
 )
 
 
@@ -108,16 +108,18 @@ class Level(Record):
                 raise ValueError("the counts by course do not add up to those of all queries")
         return self
 
-    def recall(self, threshold: str) -> Recall:
+    def recall(self, threshold: str) -> Percentage:
         """Return the percentage of correct queries with its 95 % interval by course."""
         if self.by_course is None:
-            return Recall(value=100 * self.correct[threshold] / self.queries, low=None, high=None)
+            return Percentage(
+                value=100 * self.correct[threshold] / self.queries, low=None, high=None
+            )
         counts = self.by_course.values()
         interval = share_of_counts(
             np.array([c.correct[threshold] for c in counts], np.float64),
             np.array([c.queries for c in counts], np.int64),
         )
-        return Recall(**interval._asdict())
+        return Percentage(**interval._asdict())
 
 
 class Basin(Record):
@@ -139,35 +141,35 @@ class Basin(Record):
                 for threshold in THRESHOLDS
                 for recall in [level.recall(threshold.key)]
             ]
-            size = f"{level.prior_t_m:g} m {level.prior_r_deg:g}°"
-            lines.append(f"prior {size}: {', '.join(recalls)}, of {level.queries}")
+            error = f"{level.prior_t_m:g} m {level.prior_r_deg:g}°"
+            lines.append(f"prior {error}: {', '.join(recalls)}, of {level.queries}")
         return "\n".join(lines)
 
 
-def parse_sizes(text: str) -> tuple[Size, ...]:
-    """Read sizes of error, written like ``1m/2deg,3m/5deg``.
+def parse_errors(text: str) -> tuple[PriorError, ...]:
+    """Read errors of priors, written like ``1m/2deg,3m/5deg``.
 
     Raises:
-        InputError: the text has another form, or a size is listed twice or too large.
+        InputError: the text has another form, or an error is listed twice or too large.
     """
-    sizes = []
+    errors = []
     for word in text.split(","):
         match = _SIZE.fullmatch(word.strip())
         if match is None:
             raise InputError(f"write errors as 1m/2deg,3m/5deg; got {word.strip()!r}")
-        size = Size(float(match.group(1)), float(match.group(2)))
-        if size.metres > FARTHEST_M:
+        error = PriorError(float(match.group(1)), float(match.group(2)))
+        if error.metres > FARTHEST_M:
             raise InputError(
-                f"a position error is at most {FARTHEST_M:g} metres; got {size.metres:g} metres"
+                f"a position error is at most {FARTHEST_M:g} metres; got {error.metres:g} metres"
             )
-        if size.degrees > 180:
+        if error.degrees > 180:
             raise InputError(
-                f"an attitude error is at most 180 degrees; got {size.degrees:g} degrees"
+                f"an attitude error is at most 180 degrees; got {error.degrees:g} degrees"
             )
-        if size in sizes:
-            raise InputError(f"the error {size} is listed twice: list it once")
-        sizes.append(size)
-    return tuple(sizes)
+        if error in errors:
+            raise InputError(f"the error {error} is listed twice: list it once")
+        errors.append(error)
+    return tuple(errors)
 
 
 def basin_path(out: Path, dataset: Dataset, localizer: Localizer) -> Path:
@@ -179,17 +181,17 @@ def basin(
     dataset: Dataset,
     localizer: Localizer,
     out: Path,
-    sizes: Sequence[Size] = DEFAULT_SIZES,
+    errors: Sequence[PriorError] = DEFAULT_ERRORS,
     seed: int = 0,
     cache: Path | None = None,
 ) -> Basin:
-    """Localize every query from priors with every size of error, and write the counts.
+    """Localize every query from priors with errors of each given size, and write the counts.
 
     Args:
         dataset: data set of the queries. Their own priors are not used.
         localizer: method to run.
         out: folder of the results.
-        sizes: sizes of the error.
+        errors: errors of the priors.
         seed: random seed of the error directions.
         cache: folder for data that the method keeps per map; None for a scratch folder in ``out``.
 
@@ -206,28 +208,28 @@ def basin(
     sparse_map = dataset.load_map()
     with cache_or_scratch(cache, out) as folder:
         localizer.prepare(sparse_map, dataset.images, folder)
-    answers: list[list[QueryResult]] = [[] for _ in sizes]
-    steps = len(dataset.queries) * len(sizes)
+    answers: list[list[QueryResult]] = [[] for _ in errors]
+    steps = len(dataset.queries) * len(errors)
     with progress_bar(f"{dataset.name} {localizer.name}", steps) as advance:
         for number, query in enumerate(dataset.queries):
             loaded = query.load()
             # With seed 0 the priors are the same as those of `evaluate --start error=`.
             name = f"{seed} {query.name}" if seed else query.name
-            for level, size in enumerate(sizes):
-                prior = move_prior(query.reference, name, *size)
+            for level, error in enumerate(errors):
+                prior = move_prior(query.reference, name, *error)
                 began = perf_counter()
                 estimate = localize_safely(localizer, replace(loaded, prior=prior))
                 seconds = perf_counter() - began
                 course = dataset.courses[query.group]
                 answer = score_query(query, course, estimate, sparse_map, seconds)
                 answers[level].append(answer)
-                advance(number * len(sizes) + level + 1)
+                advance(number * len(errors) + level + 1)
     result = Basin(
         method=Method.of(localizer),
         dataset=DatasetId.of(dataset),
         seed=seed,
         environment=Environment.current(),
-        levels=tuple(_count_level(*pair) for pair in zip(sizes, answers, strict=True)),
+        levels=tuple(_count_level(*pair) for pair in zip(errors, answers, strict=True)),
     )
     text = result.model_dump_json(indent=1, by_alias=True) + "\n"
     write_text(target, text)
@@ -243,11 +245,11 @@ def load_basin(path: Path) -> Basin:
     return read_json(path, Basin, "basin file")
 
 
-def _count_level(size: Size, answers: Sequence[QueryResult]) -> Level:
-    """Return the counts of the answers from priors with one size of error."""
+def _count_level(error: PriorError, answers: Sequence[QueryResult]) -> Level:
+    """Return the counts of the answers from priors with one error."""
     return Level(
-        prior_t_m=size.metres,
-        prior_r_deg=size.degrees,
+        prior_t_m=error.metres,
+        prior_r_deg=error.degrees,
         queries=len(answers),
         failed=sum(answer.status is Status.FAILED for answer in answers),
         fallback=sum(answer.status is Status.FALLBACK for answer in answers),
@@ -267,5 +269,5 @@ def _count_correct(answers: Sequence[QueryResult]) -> dict[str, int]:
 def _group_by_course(answers: Sequence[QueryResult]) -> dict[str, list[QueryResult]]:
     courses: dict[str, list[QueryResult]] = {}
     for answer in answers:
-        courses.setdefault(answer.cluster, []).append(answer)
+        courses.setdefault(answer.course_name, []).append(answer)
     return courses

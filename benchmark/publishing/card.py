@@ -10,8 +10,8 @@ from typing import Any, Final
 
 import yaml
 
-from benchmark.publishing.description import Publication
-from benchmark.publishing.index import Published, PublishedScene
+from benchmark.publishing.description import CardFacts
+from benchmark.publishing.index import PublishedIndex, PublishedScene
 from benchmark.publishing.licenses import hub_license, license_url
 from benchmark.publishing.previews import preview_name
 from benchmark.publishing.rows import SPLITS
@@ -30,21 +30,21 @@ _SEALED_USE: Final = "objconnect submit FOLDER --method sift --out SUBMISSION"
 _DIGEST_DIGITS: Final = 12
 
 
-def write_card(folder: Path, publication: Publication) -> None:
+def write_card(folder: Path, facts: CardFacts) -> None:
     """Write the data card of a folder.
 
     Args:
         folder: the published folder.
-        publication: the facts that the card states.
+        facts: the facts that the card states.
 
     Raises:
         InputError: the file cannot be written.
     """
-    published, description = publication.published, publication.description
-    release, columns = publication.release, publication.columns
+    published, description = facts.published, facts.description
+    release, columns = facts.release, facts.columns
     template = (files("benchmark.publishing") / "card.md").read_text(encoding="utf-8")
     body = Template(template).substitute(
-        name=publication.name,
+        name=facts.name,
         use=_SEALED_USE if published.sealed else _USE,
         summary=description.summary,
         pictures="\n".join(f"![{s.name}]({preview_name(s.name)})" for s in published.scenes),
@@ -61,12 +61,12 @@ def write_card(folder: Path, publication: Publication) -> None:
         personal=description.personal,
     )
     matter = yaml.safe_dump(
-        _front_matter(publication.name, published), sort_keys=False, allow_unicode=True
+        _front_matter(facts.name, published), sort_keys=False, allow_unicode=True
     )
     write_text(folder / CARD, f"---\n{matter}---\n\n{body}")
 
 
-def _front_matter(name: str, published: Published) -> dict[str, Any]:
+def _front_matter(name: str, published: PublishedIndex) -> dict[str, Any]:
     """Return the metadata that the hub reads: the licence, and the files of each split."""
     count = sum(sum(scene.photographs.values()) for scene in published.scenes)
     configs = [_config("default", "*", default=True)]

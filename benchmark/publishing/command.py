@@ -9,10 +9,10 @@ from pathlib import Path
 from benchmark.publishing.card import write_card
 from benchmark.publishing.columns import Column, columns_with
 from benchmark.publishing.croissant import write_croissant
-from benchmark.publishing.description import Publication, Release, describe
+from benchmark.publishing.description import CardFacts, Release, describe
 from benchmark.publishing.index import (
     INDEX,
-    Published,
+    PublishedIndex,
     PublishedScene,
     PublishedSession,
     scene_folder,
@@ -56,8 +56,8 @@ def publish(
 
     Raises:
         InputError: a path is neither a scene nor a flight, one lacks a map, a query or a layer, a
-            prior cannot be stored, two have the same name, a licence must be stated, one cannot
-            be sealed, or ``out`` is not empty, cannot be written or lies in a scene or a
+            prior cannot be stored, two scenes have the same name, a licence must be stated, a scene
+            cannot be sealed, or ``out`` is not empty, cannot be written or lies in a scene or a
             published data set.
     """
     release = release or Release()
@@ -118,13 +118,15 @@ def _write(
     columns = columns_with(layers)
     scenes = tuple(_write_scene(folder, source, columns) for source in sources)
     sealed = sources[0].rows.sealed
-    published = Published(license=license_id, layers=tuple(layers), scenes=scenes, sealed=sealed)
+    published = PublishedIndex(
+        license=license_id, layers=tuple(layers), scenes=scenes, sealed=sealed
+    )
     total_bytes = sum((folder / path).stat().st_size for path in published.files)
     description = describe(published, total_bytes)
-    publication = Publication(name, release, published, description, columns)
+    facts = CardFacts(name, release, published, description, columns)
     write_json(folder / INDEX, published)
-    write_card(folder, publication)
-    write_croissant(folder, publication)
+    write_card(folder, facts)
+    write_croissant(folder, facts)
     write_checksums(folder, published.files)
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmark.publishing.columns import Column
-from benchmark.publishing.description import Description, Publication, Release
+from benchmark.publishing.description import CardFacts, Description, Release
 from benchmark.publishing.licenses import license_url
 from objconnect.scene.storage.atomic import write_text
 
@@ -46,37 +46,35 @@ _FILE_SET: Final = {
 }
 
 
-def write_croissant(folder: Path, publication: Publication) -> None:
+def write_croissant(folder: Path, facts: CardFacts) -> None:
     """Write the metadata of a folder.
 
     Args:
         folder: the published folder.
-        publication: the facts that the metadata state.
+        facts: the facts that the metadata state.
 
     Raises:
         InputError: the file cannot be written.
     """
-    release = publication.release
-    distribution = [
-        _file(folder, path, sha256) for path, sha256 in publication.published.files.items()
-    ]
+    release = facts.release
+    distribution = [_file(folder, path, sha256) for path, sha256 in facts.published.files.items()]
     metadata = {
         "@context": json.loads(
             (files("benchmark.publishing") / "context.json").read_text(encoding="utf-8")
         ),
         "@type": "sc:Dataset",
         "conformsTo": list(_SPECIFICATIONS),
-        "name": publication.name,
-        "description": publication.description.summary,
-        "license": license_url(publication.published.license),
+        "name": facts.name,
+        "description": facts.description.summary,
+        "license": license_url(facts.published.license),
         "version": release.version,
-        "citeAs": _citation(publication.name, release),
+        "citeAs": _citation(facts.name, release),
         "keywords": ["UAV", "visual localization", "camera pose", "COLMAP"],
         "inLanguage": "en",
         **_origin(release),
-        **_responsible_ai(publication.description),
+        **_responsible_ai(facts.description),
         "distribution": [*distribution, _FILE_SET],
-        "recordSet": [_record_set(publication.columns)],
+        "recordSet": [_record_set(facts.columns)],
     }
     write_text(folder / CROISSANT, json.dumps(metadata, indent=1, ensure_ascii=False) + "\n")
 

@@ -9,7 +9,7 @@ from datetime import date
 from typing import Final
 
 from benchmark.publishing.columns import Column
-from benchmark.publishing.index import Provenance, Published, PublishedScene
+from benchmark.publishing.index import Provenance, PublishedIndex, PublishedScene
 from benchmark.publishing.licenses import require_license
 from objconnect.scene.errors import InputError
 
@@ -117,25 +117,25 @@ class Description:
 
 
 @dataclass(frozen=True)
-class Publication:
-    """The facts that the card and the metadata of a published folder state.
+class CardFacts:
+    """The facts that the data card and the Croissant metadata of a published folder state.
 
     Attributes:
         name: name of the data set.
         release: the publisher's statements.
-        published: the scenes.
+        published: the contents of ``published.json``.
         description: what the data set shows, and how it was made.
         columns: columns of the shards by name.
     """
 
     name: str
     release: Release
-    published: Published
+    published: PublishedIndex
     description: Description
     columns: Mapping[str, Column]
 
 
-def describe(published: Published, total_bytes: int) -> Description:
+def describe(published: PublishedIndex, total_bytes: int) -> Description:
     """Describe a data set from its list of scenes.
 
     Args:
@@ -189,7 +189,7 @@ def _number(count: int, noun: str) -> str:
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
-def _making(published: Published, references: Sequence[str]) -> str:
+def _making(published: PublishedIndex, references: Sequence[str]) -> str:
     versions = {f"{k} {v}" for scene in published.scenes for k, v in scene.versions.items()}
     programs = f" Programs: {', '.join(sorted(versions))}." if versions else ""
     how = " ".join(_MAKING[reference] for reference in references)
@@ -226,7 +226,7 @@ def _limitations(
             "A method that was trained on renders of the same program has an advantage."
         )
     if not exact:
-        limitations.append("Errors below the accuracy of the reference poses cannot be told apart.")
+        limitations.append("Errors smaller than those of the reference poses cannot be measured.")
     if exact and not invented:
         limitations.append(
             "Sites modelled on real ones are as accurate as the files they came from."

@@ -87,7 +87,7 @@ class PublishedScene(Provenance):
     files: dict[Name, _Digest]
 
 
-class Published(Record):
+class PublishedIndex(Record):
     """The contents of ``published.json``.
 
     Attributes:
@@ -110,13 +110,13 @@ class Published(Record):
         return {path: sha256 for scene in self.scenes for path, sha256 in scene.files.items()}
 
 
-def read_index(folder: Path) -> Published:
+def read_index(folder: Path) -> PublishedIndex:
     """Read ``published.json``.
 
     Raises:
         InputError: the file is missing, not JSON, or has an unknown key or a bad value.
     """
-    return read_json(folder / INDEX, Published, "list of published scenes")
+    return read_json(folder / INDEX, PublishedIndex, "list of published scenes")
 
 
 def scene_folder(scene: str) -> str:

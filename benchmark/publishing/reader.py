@@ -41,7 +41,7 @@ class PublishedReader:
     name = "published"
     holds = f"{INDEX} (a published data set)"
 
-    def is_one(self, path: Path) -> bool:
+    def recognizes(self, path: Path) -> bool:
         """Return whether a path is a published folder or the address of one on the hub."""
         return is_address(path) or (path / INDEX).is_file()
 
@@ -71,7 +71,7 @@ def is_sealed(path: Path) -> bool:
     Raises:
         InputError: the list of scenes is damaged, or the address cannot be read.
     """
-    return READER.is_one(path) and read_index(_folder(path)).sealed
+    return READER.recognizes(path) and read_index(_folder(path)).sealed
 
 
 def open_sealed(path: Path) -> list[Task]:

@@ -10,7 +10,7 @@ from benchmark.report.paper import TITLE, Line, TableCell, columns
 from benchmark.report.tables import Table
 from benchmark.results.query_result import TOTAL
 from benchmark.scoring.score import THRESHOLDS
-from benchmark.scoring.summary import Recall
+from benchmark.scoring.summary import Percentage
 from objconnect.scene.runtime.escaping import for_terminal
 
 _ESCAPED: Final = str.maketrans(
@@ -124,7 +124,7 @@ def _cell(cell: TableCell | None) -> str:
     return _interval(cell.value, cell.low, cell.high)
 
 
-def _recall(recall: Recall | None) -> str:
+def _recall(recall: Percentage | None) -> str:
     return "--" if recall is None else _interval(recall.value, recall.low, recall.high)
 
 

@@ -10,7 +10,7 @@ from benchmark.report.paper import TITLE, Line, columns
 from benchmark.report.tables import Table, saturation
 from benchmark.results.query_result import TOTAL
 from benchmark.scoring.score import THRESHOLDS, WRONG_M
-from benchmark.scoring.summary import Recall, Uncertainty
+from benchmark.scoring.summary import Percentage, Uncertainty
 from objconnect.scene.runtime.escaping import for_terminal
 
 # Characters that Markdown takes for markup. An underscore within a word is not markup.
@@ -100,7 +100,7 @@ def line(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
-def share_text(share: Recall | None) -> str:
+def share_text(share: Percentage | None) -> str:
     """Format a percentage with its interval; a dash where it is unknown."""
     return "–" if share is None else share.text()
 

@@ -29,7 +29,7 @@ from benchmark.results.results_files import BASIN
 from benchmark.scoring.clustered import difference_interval, permutation_p
 from benchmark.scoring.paired import compare
 from benchmark.scoring.score import THRESHOLDS, is_correct
-from benchmark.scoring.summary import Recall, Summary, Uncertainty
+from benchmark.scoring.summary import Percentage, Summary, Uncertainty
 from benchmark.scoring.uncertainty import risk_coverage
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Status
@@ -246,7 +246,7 @@ def _pairs(
     known = {name: query for queries in queries_of for name, query in queries.items()}
     for condition in conditions:
         listed = [name for name in names if condition in (ALL, known[name].condition)]
-        courses = [known[name].cluster for name in listed]
+        courses = [known[name].course_name for name in listed]
         for number, threshold in enumerate(THRESHOLDS):
             if str(threshold) in group.unjudged:
                 continue
@@ -288,7 +288,7 @@ def compare_paired(
 
 
 def _pairs_note(group: Group) -> str:
-    courses = len({query.cluster for run in group.runs for query in run.results.queries})
+    courses = len({query.course_name for run in group.runs for query in run.results.queries})
     if courses == 1:
         return "All queries are of one course, so intervals and p are unknown."
     return (
@@ -320,7 +320,7 @@ def _basin(run: Run) -> list[dict[str, Any]] | None:
     ]
 
 
-def _recall(recall: Recall | None) -> list[float | None] | None:
+def _recall(recall: Percentage | None) -> list[float | None] | None:
     if recall is None:
         return None
     # The page rounds to one decimal, which gives the same from six decimals as from all.

@@ -103,14 +103,17 @@ def _project_lines(groups: Sequence[Group]) -> Iterator[Line]:
             if group.track == track and group.dataset.startswith(beginning):
                 for run in group.runs:
                     source = source_text(group.start, run.results.method.is_external)
-                    cells = by_run.setdefault((run.label, source), {})
-                    cells.setdefault(column, []).extend(run.results.queries)
-    for (method, source), cells in by_run.items():
+                    queries_by_column = by_run.setdefault((run.label, source), {})
+                    queries_by_column.setdefault(column, []).extend(run.results.queries)
+    for (method, source), queries_by_column in by_run.items():
         yield Line(
             method,
             source,
             False,
-            tuple(pool(cells[column]) if column in cells else None for column in _COLUMNS),
+            tuple(
+                pool(queries_by_column[column]) if column in queries_by_column else None
+                for column in _COLUMNS
+            ),
         )
 
 
@@ -119,7 +122,8 @@ def source_text(start: str, declared: bool = False) -> str:
 
     Args:
         start: name of the starting information.
-        declared: whether a user declared the start to ``score``, which nothing verifies.
+        declared: whether the start is only what a user told the command ``score``; it is not
+            verified.
     """
     return f"measured here, start{' as declared' if declared else ''}: {start_in_words(start)}"
 
@@ -127,7 +131,8 @@ def source_text(start: str, declared: bool = False) -> str:
 def pool(queries: Sequence[QueryResult]) -> TableCell:
     """Return the cell of a column, over all queries of this project in it.
 
-    Flights of the same name count as one course: rendered sites of one seed may share courses.
+    Flights of the same name count as one course, because rendered sites with the same seed can have
+    the same flight paths.
     """
     interval: Interval = recall(queries, _THRESHOLD)
     return TableCell(*interval, queries=len(queries))

@@ -71,6 +71,9 @@ class QueryResult(NamedRecord):
     prior_t_m: _Length | None = Field(None, ge=0)
 
     @property
-    def cluster(self) -> str:
-        """Return the course, which intervals and tests take as the independent unit."""
+    def course_name(self) -> str:
+        """Return the course, or the group in files of earlier versions.
+
+        Intervals and tests take the queries of one course as one independent unit.
+        """
         return self.group if self.course is None else self.course

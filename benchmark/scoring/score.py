@@ -71,7 +71,7 @@ class ClusteredOutcome(Outcome, Protocol):
     """A scored query with its course; errors of queries of one course are correlated."""
 
     @property
-    def cluster(self) -> str: ...
+    def course_name(self) -> str: ...
 
 
 class ClusteredOutcomeWithPrior(ClusteredOutcome, OutcomeWithPrior, Protocol):
@@ -140,7 +140,7 @@ def worse_than_prior(outcomes: Sequence[ClusteredOutcomeWithPrior]) -> Interval 
 
 
 def _share(outcomes: Sequence[ClusteredOutcome], flags: Sequence[bool]) -> Interval:
-    return share(flags, [outcome.cluster for outcome in outcomes])
+    return share(flags, [outcome.course_name for outcome in outcomes])
 
 
 def median_errors(outcomes: Sequence[Outcome]) -> tuple[float | None, float | None]:

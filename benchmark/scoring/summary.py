@@ -27,7 +27,7 @@ from objconnect.scene.storage.records import Record
 _BAND_M = 30
 
 
-class Recall(Record):
+class Percentage(Record):
     """A percentage of queries with the ends of its 95 % interval by course, in percent.
 
     The ends are None where all queries are of one course.
@@ -67,7 +67,7 @@ class Uncertainty(Record):
     nees_low: float | None = None
     nees_high: float | None = None
     nees_median: float
-    within_95: Recall
+    within_95: Percentage
 
 
 class Summary(Record):
@@ -100,10 +100,10 @@ class Summary(Record):
 
     queries: int
     courses: int | None = None
-    recall: dict[str, Recall | None]
-    false_fixes: Recall | None = None
-    wrong_1m: Recall | None = None
-    worse_than_prior: Recall | None = None
+    recall: dict[str, Percentage | None]
+    false_fixes: Percentage | None = None
+    wrong_1m: Percentage | None = None
+    worse_than_prior: Percentage | None = None
     median_t_m: float | None
     median_r_deg: float | None
     failed: int
@@ -112,7 +112,7 @@ class Summary(Record):
     seconds: Seconds
     peak_memory_mb: float | None
 
-    def integrity(self) -> tuple[Recall | None, Recall | None, Recall | None]:
+    def integrity(self) -> tuple[Percentage | None, Percentage | None, Percentage | None]:
         """Return the shares of false fixes, wrong answers and answers worse than the prior."""
         return self.false_fixes, self.wrong_1m, self.worse_than_prior
 
@@ -137,7 +137,7 @@ def summarize(
     stages = dict.fromkeys(stage for query in queries for stage in query.seconds)
     return Summary(
         queries=len(queries),
-        courses=len({query.cluster for query in queries}),
+        courses=len({query.course_name for query in queries}),
         recall={
             threshold.key: _judge(recall(queries, threshold), str(threshold), unjudged)
             for threshold in THRESHOLDS
@@ -189,9 +189,9 @@ def summarize_parts(
     return parts
 
 
-def _judge(figure: Interval | None, bound: str, unjudged: Collection[str]) -> Recall | None:
-    """Return a figure; None if it is unknown or the reference poses do not judge its bound."""
-    return None if figure is None or bound in unjudged else Recall(**figure._asdict())
+def _judge(figure: Interval | None, bound: str, unjudged: Collection[str]) -> Percentage | None:
+    """Return a figure; None if it is unknown or the reference poses are too inexact for it."""
+    return None if figure is None or bound in unjudged else Percentage(**figure._asdict())
 
 
 def _band(query: QueryResult) -> str:
@@ -224,5 +224,5 @@ def _uncertainty(queries: Sequence[QueryResult]) -> Uncertainty | None:
         nees_low=low,
         nees_high=high,
         nees_median=figures.median,
-        within_95=Recall(**figures.within_95._asdict()),
+        within_95=Percentage(**figures.within_95._asdict()),
     )

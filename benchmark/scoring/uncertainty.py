@@ -78,7 +78,7 @@ def compute_nees(
 
 def consistency(outcomes: Sequence[PredictedOutcome]) -> Consistency | None:
     """Return the consistency over the queries of status ``ok`` with a NEES; None without any."""
-    known = [(o.nees, o.cluster) for o in outcomes if o.status == "ok" and o.nees is not None]
+    known = [(o.nees, o.course_name) for o in outcomes if o.status == "ok" and o.nees is not None]
     if not known:
         return None
     values, clusters = zip(*known, strict=True)

@@ -9,7 +9,7 @@ from typing import Any
 
 from benchmark.results.results import Results
 from benchmark.scoring.score import THRESHOLDS
-from benchmark.scoring.summary import Recall, summarize
+from benchmark.scoring.summary import Percentage, summarize
 from benchmark.submissions.scoring import score_submission
 from benchmark.tracks.description import TRACKS_FOLDER
 
@@ -63,7 +63,7 @@ class SubmissionReport:
         return f"{name}: {figures['poses']} poses of {figures['queries']} queries; {recall}"
 
 
-def _percent(share: Recall | None) -> float | None:
+def _percent(share: Percentage | None) -> float | None:
     return None if share is None else round(share.value, 2)
 
 

@@ -51,8 +51,8 @@ class PlaceReport:
         export: folder in the layout of Extended CMU Seasons; None for places without streets.
         queries: number of queries.
         sha256: digest of the data set.
-        recorded: digests of the renders that the track records; empty if it records none.
-        unlike: how this render differs from the recorded one by more than rounding; empty if it
+        recorded_digests: digests of the renders that the track records; empty if it records none.
+        difference: how this render differs from the recorded one by more than rounding; empty if it
             does not.
         public_sha256: digest of the public half of a sealed place; None for other places.
     """
@@ -62,8 +62,8 @@ class PlaceReport:
     export: Path | None
     queries: int
     sha256: str
-    recorded: tuple[str, ...]
-    unlike: str = ""
+    recorded_digests: tuple[str, ...]
+    difference: str = ""
     public_sha256: str | None = None
 
     @property
@@ -74,18 +74,22 @@ class PlaceReport:
     @property
     def same(self) -> bool | None:
         """Whether the data set equals the recorded one up to rounding; None if none is recorded."""
-        return not self.unlike if self.recorded else None
+        return not self.difference if self.recorded_digests else None
 
     def text(self) -> str:
         """Return one line for a person."""
-        if not self.recorded:
+        if not self.recorded_digests:
             verdict = "not recorded yet"
-        elif self.sha256 in self.recorded:
+        elif self.sha256 in self.recorded_digests:
             verdict = "as recorded"
-        elif not self.unlike:
-            verdict = f"like the recorded {self.recorded[0][:_DIGEST_LENGTH]} but for rounding"
+        elif not self.difference:
+            verdict = (
+                f"like the recorded {self.recorded_digests[0][:_DIGEST_LENGTH]} but for rounding"
+            )
         else:
-            verdict = f"NOT the recorded {self.recorded[0][:_DIGEST_LENGTH]} ({self.unlike})"
+            verdict = (
+                f"NOT the recorded {self.recorded_digests[0][:_DIGEST_LENGTH]} ({self.difference})"
+            )
         digest = self.sha256[:_DIGEST_LENGTH]
         line = f"{self.dataset}: {self.queries} queries, data set {digest}, {verdict}"
         if self.public_sha256 is None:
@@ -139,9 +143,9 @@ class TrackReport:
                 "export": None if place.export is None else str(place.export),
                 "queries": place.queries,
                 "sha256": place.sha256,
-                "recorded": list(place.recorded),
+                "recorded": list(place.recorded_digests),
                 "same": place.same,
-                "unlike": place.unlike,
+                "unlike": place.difference,
                 "public_sha256": place.public_sha256,
             }
             for place in self.places
@@ -252,8 +256,8 @@ def _read_flights(
                 export=None,
                 queries=len(dataset.queries),
                 sha256=dataset.sha256,
-                recorded=place.renders,
-                unlike="other files" if is_other else "",
+                recorded_digests=place.renders,
+                difference="other files" if is_other else "",
             )
         )
     return tuple(reports)
@@ -292,7 +296,7 @@ def _record(name: str, tracks_folder: Path, reports: Sequence[PlaceReport]) -> t
     renders = {}
     for place in reports:
         if place.same:
-            renders[place.dataset] = tuple(dict.fromkeys([*place.recorded, *place.digests]))
+            renders[place.dataset] = tuple(dict.fromkeys([*place.recorded_digests, *place.digests]))
             continue
         renders[place.dataset] = place.digests
         queries = _queries_file(tracks_folder, name, place)
@@ -358,8 +362,8 @@ def _prepare_place(
         export=cmu_folder,
         queries=len(dataset.queries),
         sha256=dataset.sha256,
-        recorded=place.renders,
-        unlike=_describe_difference(place, dataset.sha256, record, scene),
+        recorded_digests=place.renders,
+        difference=_describe_difference(place, dataset.sha256, record, scene),
         public_sha256=sealed_sha256(dataset) if place.is_sealed else None,
     )
 

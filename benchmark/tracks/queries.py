@@ -17,9 +17,9 @@ SAME: Final = "same"
 CHANGED: Final = "changed"
 """Name of the queries under all other conditions; no condition may have this name."""
 SEEN: Final = "seen"
-"""Name of queries whose condition and kind of place their track does not hold out of training."""
+"""Name of the queries whose condition and kind of place training may use."""
 UNSEEN: Final = ("unseen-condition", "unseen-place", "unseen-both")
-"""Names of queries whose condition, kind of place or both their track holds out of training; no
+"""Names of the queries whose condition, kind of place or both training must not use; no
 condition may have these names."""
 
 _RESERVED: Final = (ALL_CONDITIONS, SAME, CHANGED, SEEN, *UNSEEN)

@@ -40,7 +40,7 @@ from objconnect.ingestion.photographs import (
 from objconnect.ingestion.picture import PICTURE, draw
 from objconnect.ingestion.positions import local_positions, replace_positions
 from objconnect.ingestion.report import REPORT, Findings, IngestReport, make_report
-from objconnect.ingestion.rotated_photographs import read_rotated, restart_rotated
+from objconnect.ingestion.rotated_photographs import discard_unrotated, read_rotated
 from objconnect.ingestion.run_record import (
     DATABASE,
     WORK,
@@ -297,7 +297,7 @@ def _register(out: Path, source: _Source, known: KnownMap) -> tuple[Flight, Spar
             upright_count=sum(int(base.frames(s).has_attitude.sum()) for s in base.sessions),
         )
         if rotated:
-            restart_rotated(out, rotated, models)
+            discard_unrotated(out, rotated, models)
             return _register(out, source, known)
     poses = {image.name: image.cam_from_world for image in known.images}
     images = {

@@ -70,7 +70,7 @@ def parse_positions(
     before and after are dropped.
 
     Args:
-        captions: Subtitles sorted by time.
+        captions: The parsed subtitles, sorted by time.
         marks: Decimal marks of the file.
         near: Latitude and longitude of the map, degrees; None where unknown.
     """
@@ -202,8 +202,8 @@ def _gather_pairs(
     return PairedTrack(
         seconds=[captions[row].subtitle.start_s for row in rows],
         pairs=[pair for row in rows if (pair := fixes[row].pair) is not None],
-        homes=[home.pair for home in homes if home.pair is not None],
-        home_places=[home.lat_lon for home in homes if home.lat_lon is not None],
+        home_pairs=[home.pair for home in homes if home.pair is not None],
+        home_lat_lons=[home.lat_lon for home in homes if home.lat_lon is not None],
         distances=distances,
         speeds=speeds if len(speeds) == len(rows) else (),
     )

@@ -43,7 +43,7 @@ from objconnect.ingestion.photographs import (
 from objconnect.ingestion.picture import PICTURE, draw
 from objconnect.ingestion.positions import MIN_PHOTOGRAPHS, local_positions, replace_positions
 from objconnect.ingestion.report import REPORT, Findings, IngestReport, make_report
-from objconnect.ingestion.rotated_photographs import read_rotated, restart_rotated
+from objconnect.ingestion.rotated_photographs import discard_unrotated, read_rotated
 from objconnect.ingestion.run_record import DATABASE, WORK, RunRecord, flight_manifest, make_scene
 from objconnect.ingestion.split import Split, choose_queries
 from objconnect.scene.bundle.manifest import write_json
@@ -293,7 +293,7 @@ def _reconstruct(out: Path, source: _Source) -> tuple[Flight, Path, set[str]]:
         raw = read_model(model_path)
         rotated = find_upside_down(raw, georegister(raw, fixes), copied.images)
         if rotated:
-            restart_rotated(out, rotated, model_path.parent)
+            discard_unrotated(out, rotated, model_path.parent)
             return _reconstruct(out, source)
     flight = copied.leave_out({files[name]: reason for name, reason in unregistered.items()})
     return flight, model_path, rotated

@@ -12,7 +12,7 @@ from pydantic import BaseModel
 from objconnect.ingestion.run_record import DATABASE, WORK
 from objconnect.scene.bundle.manifest import read_json, write_json
 
-_RECORD: Final = "turned.json"
+_RECORD: Final = "rotated.json"
 
 
 class _Rotated(BaseModel):
@@ -29,14 +29,14 @@ def read_rotated(out: Path) -> set[str]:
     return set(read_json(record, _Rotated, "rotated photographs").names)
 
 
-def restart_rotated(out: Path, names: Collection[str], models: Path) -> None:
-    """Remove results of photographs that must be rotated, and record their names.
+def discard_unrotated(out: Path, names: Collection[str], models: Path) -> None:
+    """Discard unrotated photographs and the results from them, and record which must be rotated.
 
     Features belong to the pictures before the rotation, so the reconstruction starts again.
 
     Args:
         out: folder of the unfinished scene.
-        names: names of the photographs.
+        names: names of the photographs that must be rotated.
         models: folder of the reconstruction.
     """
     for name in names:

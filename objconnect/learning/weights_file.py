@@ -12,7 +12,7 @@ from objconnect.scene.storage.hub import download, is_address
 
 SUFFIX: Final = ".safetensors"
 # Calibration files lie beside the weights; see ``localization.featuremetric.calibration_files``.
-_READ: Final = (SUFFIX, ".yaml")
+_CHECKED_SUFFIXES: Final = (SUFFIX, ".yaml")
 
 
 def find_weights(path: Path) -> Path:
@@ -27,7 +27,7 @@ def find_weights(path: Path) -> Path:
             file in it is missing or was changed.
     """
     if is_address(path):
-        path = download(path, "model", [CHECKSUMS, *(f"*{suffix}" for suffix in _READ)])
+        path = download(path, "model", [CHECKSUMS, *(f"*{suffix}" for suffix in _CHECKED_SUFFIXES)])
     if not path.is_dir():
         return path
     if not (path / CHECKSUMS).is_file():
@@ -35,14 +35,17 @@ def find_weights(path: Path) -> Path:
             f"{path} is a folder without {CHECKSUMS}: give a file of weights, or a folder that "
             "publish-weights wrote"
         )
-    listed = {name: each for name, each in read_checksums(path).items() if "/" not in name}
-    read = {name: each for name, each in listed.items() if name.endswith(_READ)}
-    weights = [name for name in read if name.endswith(SUFFIX)]
+    checked_digests = {
+        name: digest
+        for name, digest in read_checksums(path).items()
+        if "/" not in name and name.endswith(_CHECKED_SUFFIXES)
+    }
+    weights = [name for name in checked_digests if name.endswith(SUFFIX)]
     if len(weights) != 1:
         raise InputError(f"{path / CHECKSUMS} lists {len(weights)} files of weights: give one file")
-    for name, published in read.items():
+    for name, digest in checked_digests.items():
         if not (path / name).is_file():
             raise InputError(f"{path / name} does not exist: download the weights again")
-        if sha256_of(path / name) != published:
+        if sha256_of(path / name) != digest:
             raise InputError(f"{path / name} is not the file that was published: download it again")
     return path / weights[0]

@@ -176,9 +176,9 @@ class Estimate:
         if self.cam_from_world is None or self.covariance is None:
             return None
         world_from_cam = self.cam_from_world.rotation.numpy().T
-        moves = np.zeros((6, 6))
-        moves[:3, 3:] = moves[3:, :3] = -world_from_cam
-        return np.asarray(moves @ self.covariance @ moves.T)
+        jacobian = np.zeros((6, 6))
+        jacobian[:3, 3:] = jacobian[3:, :3] = -world_from_cam
+        return np.asarray(jacobian @ self.covariance @ jacobian.T)
 
     def sigma_position(self) -> float | None:
         """Return the predicted standard deviation of the camera centre (m), None if unknown.
@@ -248,10 +248,10 @@ class Localizer(Protocol):
 
 
 @runtime_checkable
-class PreparesLater(Protocol):
+class PreparesLazily(Protocol):
     """A localizer that builds part of its per-map state only when a query needs it."""
 
-    def prepare_first(self, sparse_map: SparseMap, images: Path, cache: Path) -> None:
+    def prepare_lazily(self, sparse_map: SparseMap, images: Path, cache: Path) -> None:
         """Build the part of the per-map state that every query needs.
 
         The first query that needs the rest builds it, in its stage ``preparation``. The answers
@@ -268,10 +268,10 @@ class PreparesLater(Protocol):
         ...
 
 
-def prepare_first(localizer: Localizer, sparse_map: SparseMap, images: Path, cache: Path) -> None:
-    """Prepare a method lazily if it supports that, else completely; see ``PreparesLater``."""
-    if isinstance(localizer, PreparesLater):
-        localizer.prepare_first(sparse_map, images, cache)
+def prepare_lazily(localizer: Localizer, sparse_map: SparseMap, images: Path, cache: Path) -> None:
+    """Prepare a method lazily if it supports that, else completely; see ``PreparesLazily``."""
+    if isinstance(localizer, PreparesLazily):
+        localizer.prepare_lazily(sparse_map, images, cache)
     else:
         localizer.prepare(sparse_map, images, cache)
 

@@ -3,8 +3,8 @@
 Blender renders pinhole pictures. For a camera with distortion, it renders a pinhole picture that
 covers the camera's view, from which ``simulate.camera.resample`` computes the photograph.
 
-Torch is imported only where a lens is used, so that the configuration of a scene and the help of
-the command line load without it.
+Torch is imported only where a distortion is computed, so that the configuration of a scene and the
+help of the command line load without it.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class CameraConfig(Config):
                 raise ValueError(f"unknown camera {self.preset!r}; known: {', '.join(PRESETS)}")
         elif any(value is None for value in given) or self.size is not None:
             raise ValueError("give a preset (and size), or model, width, height and params")
-        split_lens(self.build(64))
+        cover_by_pinhole(self.build(64))
         return self
 
     def build(self, size: int) -> Camera:
@@ -104,11 +104,11 @@ class CameraConfig(Config):
         return Camera("OPENCV" if distortion else "PINHOLE", width, height, params)
 
 
-def split_lens(camera: Camera) -> tuple[PinholeCamera, str | None]:
-    """Return the pinhole camera to render for a camera, and the lens of the render job.
+def cover_by_pinhole(camera: Camera) -> tuple[PinholeCamera, str | None]:
+    """Return the pinhole camera to render for a camera, and the distorted camera of the render job.
 
-    The pinhole covers the camera's view with at least the camera's resolution. The lens is the
-    camera as text, or None where the camera is a pinhole itself.
+    The pinhole covers the camera's view with at least the camera's resolution. The distorted camera
+    is ``str(camera)``, or None where the camera is a pinhole itself.
 
     Raises:
         InputError: the view is too wide for a pinhole, or the picture exceeds the valid range of

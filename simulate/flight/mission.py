@@ -37,7 +37,7 @@ from simulate.flight.pointing import (
     ROI_NONE,
     Gimbal,
     Region,
-    mount_target,
+    mount_roi_mode,
     towards_next,
 )
 from simulate.flight.positions import Positions
@@ -125,8 +125,8 @@ class Aircraft:
             self._turn_nose(command)
         elif number in (Mav.ROI, Mav.NAV_ROI, Mav.ROI_LOCATION, Mav.ROI_NEXT, Mav.ROI_NONE):
             self._set_region(command)
-        elif number == Mav.MOUNT_CONTROL and mount_target(command) is not None:
-            self._gimbal.look_at(Region(self._positions.position_of_mount(command)))
+        elif number == Mav.MOUNT_CONTROL and mount_roi_mode(command) is not None:
+            self._gimbal.look_at(Region(self._positions.mount_target_position(command)))
         elif number in (Mav.MOUNT_CONFIGURE, Mav.MOUNT_CONTROL, Mav.GIMBAL_PITCHYAW):
             self._gimbal.turn(command)
             self._turning_s = self._gimbal.turning_s

@@ -201,7 +201,7 @@ class Gimbal:
             )
 
 
-def mount_target(command: Command) -> int | None:
+def mount_roi_mode(command: Command) -> int | None:
     """Return the MAV_ROI mode of MAV_CMD_DO_MOUNT_CONTROL; None without a region of interest.
 
     Raises:

@@ -77,7 +77,7 @@ class Positions:
             return self._convert(command, command.height, Above.GROUND)
         return self._convert(command, command.number(6, "altitude"), command.height_reference())
 
-    def position_of_mount(self, command: Command) -> Array:
+    def mount_target_position(self, command: Command) -> Array:
         """Return the point (3,) at which MAV_CMD_DO_MOUNT_CONTROL looks.
 
         Raises:

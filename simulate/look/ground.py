@@ -158,9 +158,9 @@ def _lay_snow(
     depth = kept * season.snow * 4.2 - 1.4 + 1.5 * drift
     if shelter is not None:
         depth += season.thaw * kept * (1.9 * shelter - 1.5)
-    cover = np.clip(depth, 0, 1)
+    snow_share = np.clip(depth, 0, 1)
     white = np.array([0.74, 0.77, 0.82], np.float32) * (1 + 0.07 * drift)[..., None]
-    albedo += (0.93 * cover)[..., None] * (white - albedo)
+    albedo += (0.93 * snow_share)[..., None] * (white - albedo)
 
 
 def specular_map(
@@ -186,7 +186,8 @@ def specular_map(
 
 
 def _spots(rng: np.random.Generator, n: int, cells: float) -> NDArray[np.float32]:
-    """Return bumps (n, n) about 1 high in a tenth of ``cells``^2 cells, and 0 elsewhere."""
+    """Return a map (n, n) of spots: on a grid of ``cells`` x ``cells``, about one cell in ten has a
+    bump of height 1, and the rest is 0."""
     return np.asarray(np.clip(2.5 * noise(rng, n, cells) - 1.2, 0, 1.5))
 
 

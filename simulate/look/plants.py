@@ -74,14 +74,14 @@ def hedge_mesh(hedge: WorldObject, terrain: Heightfield) -> Mesh:
     length, width, _ = hedge.size
     count = max(2, int(length / 0.5) + 1)
     x = np.linspace(-0.5 * length, 0.5 * length, count)
-    ground, high = _profile(hedge, terrain, x)
+    ground, height = _profile(hedge, terrain, x)
     half = 0.5 * width * 0.8
     section = np.array([(-half, 0.0), (-half, 0.85), (-0.5 * half, 0.94), (0.5 * half, 0.94),
                         (half, 0.85), (half, 0.0)])  # fmt: skip
     points = np.empty((count, len(section), 3))
     points[..., 0] = x[:, None]
     points[..., 1] = section[:, 0] * rng.uniform(0.85, 1.0, (count, 1))
-    points[..., 2] = ground[:, None] + section[:, 1] * high
+    points[..., 2] = ground[:, None] + section[:, 1] * height
     body = MeshBuilder()
     for k in range(count - 1):
         for i in range(len(section) - 1):
@@ -95,7 +95,7 @@ def hedge_mesh(hedge: WorldObject, terrain: Heightfield) -> Mesh:
     on_top = rng.random(leaves) < 0.4  # else on a side
     y = np.where(on_top, rng.uniform(-1, 1, leaves), np.sign(rng.uniform(-1, 1, leaves)))
     z = np.where(on_top, rng.uniform(0.86, 0.95, leaves), rng.uniform(0.05, 0.9, leaves))
-    centres = np.stack([along, y * half, np.interp(along, x, ground) + z * high], -1)
+    centres = np.stack([along, y * half, np.interp(along, x, ground) + z * height], -1)
     outward = np.stack([np.zeros(leaves), np.where(on_top, 0, y), np.where(on_top, 1, 0.3)], -1)
     foliage = _leaves(rng, centres, outward, 0.17, rng.uniform(0.35, 1.0, leaves))
     # Leaves outside the box are moved onto its sides.
@@ -109,16 +109,16 @@ def fence_mesh(fence: WorldObject, terrain: Heightfield) -> Mesh:
     length, width, _ = fence.size
     panels = max(1, round(length / 2.0))
     x = np.linspace(-0.5 * length, 0.5 * length, panels + 1)
-    ground, high = _profile(fence, terrain, x)
+    ground, height = _profile(fence, terrain, x)
     out = MeshBuilder()
     for i in range(panels):
         base = 0.5 * (ground[i] + ground[i + 1])
-        top = base + 0.92 * high
+        top = base + 0.92 * height
         out.box((x[i], -0.2 * width, base - 0.3), (x[i + 1], 0.2 * width, top), "paint")
     for i in range(panels + 1):
         a = np.clip(x[i] - 0.06, x[0], x[-1] - 0.12)
         out.box(
-            (a, -0.5 * width, ground[i] - 0.3), (a + 0.12, 0.5 * width, ground[i] + high), "paint"
+            (a, -0.5 * width, ground[i] - 0.3), (a + 0.12, 0.5 * width, ground[i] + height), "paint"
         )
     return out.build()
 
@@ -155,8 +155,8 @@ def _foliage(
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     points = centres[lump] + radii[lump, None] * outward * rng.uniform(0.9, 1.06, (2 * leaves, 1))
     # Leaves deep inside another ball are invisible and are left out.
-    depth = np.linalg.norm(points[:, None] - centres, axis=-1) / radii
-    visible = np.flatnonzero(depth.min(1) > 0.82)[:leaves]
+    relative_distance = np.linalg.norm(points[:, None] - centres, axis=-1) / radii
+    visible = np.flatnonzero(relative_distance.min(1) > 0.82)[:leaves]
     points, outward = points[visible], outward[visible]
     low, high = points[:, 2].min(), points[:, 2].max()
     lit = 0.25 + 0.5 * (points[:, 2] - low) / (high - low) + 0.25 * outward[:, 2]

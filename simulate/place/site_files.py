@@ -23,7 +23,7 @@ def make_ground(labels: NDArray[np.uint8], texel_m: float) -> Ground:
 
 
 def save_site(path: Path, world: World) -> None:
-    """Write the place of a site atomically.
+    """Write the world of a site atomically.
 
     Raises:
         WriteError: The file cannot be written.
@@ -48,7 +48,7 @@ def save_site(path: Path, world: World) -> None:
 
 
 def load_site(path: Path, seed: int) -> World:
-    """Read the place of a site. The seed determines the variation of snow and puddles.
+    """Read the world of a site. The seed determines the variation of snow and puddles.
 
     Raises:
         InputError: The file is missing or damaged.

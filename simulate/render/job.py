@@ -38,8 +38,8 @@ class RenderJob(BaseModel):
     - ``origin`` is the geodetic origin, which determines the position of the sun.
     - ``change`` and ``first_new_id`` are arguments of ``simulate.place.change.change_world``.
     - ``site_path`` is the file of a site, which is read instead of building a place.
-    - ``lens`` is a camera with distortion as ``str(Camera)``, whose view the pinhole ``camera``
-      covers. None means that the photographs have the pinhole camera.
+    - ``distorted_camera`` is the camera of the photographs as ``str(Camera)``; the pinhole
+      ``camera`` covers its view. None means that the photographs have the pinhole camera.
     - ``travel`` is the displacement of the camera in world metres while a frame is read out from
       top to bottom, by frame. The pose is that of the middle row.
     - ``thermal`` adds the layer "thermal", the radiance (H, W) float32 between 8 and 14
@@ -57,7 +57,7 @@ class RenderJob(BaseModel):
     first_new_id: int = Field(default=0, ge=0)
     site_path: Path | None = None
     camera: PinholeCamera
-    lens: str | None = None
+    distorted_camera: str | None = None
     board: Board | None = None
     samples: int = Field(default=4, ge=1)
     denoising: Denoising = "fast"
@@ -75,7 +75,7 @@ class RenderJob(BaseModel):
 
     @model_validator(mode="after")
     def _check_rolling_shutter(self) -> RenderJob:
-        if self.travel and self.lens is not None:
+        if self.travel and self.distorted_camera is not None:
             raise ValueError("rolling shutter is not supported with lens distortion")
         return self
 
@@ -90,7 +90,7 @@ class RenderChunk(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     job: RenderJob
-    rays: Path | None  # npy (H, W, 2): x/z and y/z of the lens's pixels; None for the pinhole's
+    rays: Path | None  # npy (H, W, 2): x/z and y/z of the pixels; None for those of the pinhole
     out_dir: Path
     threads: int = Field(ge=0)  # 0 stands for one per processor
     max_growth_bytes: int = Field(ge=0)

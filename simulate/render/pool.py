@@ -84,9 +84,9 @@ def iterate_rendering(
     shares = deque(missing[k : k + size] for k in range(0, len(missing), size))
     with scratch(out_dir) as folder:
         rays = None
-        if job.lens is not None:
+        if job.distorted_camera is not None:
             rays = folder / "rays.npy"
-            np.save(rays, _lens_rays(job.lens))
+            np.save(rays, _camera_rays(job.distorted_camera))
         numbers = count()
 
         def start(share: list[int]) -> _BlenderProcess:
@@ -106,12 +106,12 @@ def iterate_rendering(
         yield from _run(shares, processes, start, out_dir)
 
 
-def _lens_rays(lens: str) -> NDArray[np.float64]:
+def _camera_rays(camera_text: str) -> NDArray[np.float64]:
     """Return the rays x/z and y/z through every pixel centre of a camera, (H, W, 2)."""
     # Imported here, because it loads torch, which Blender's processes do not need.
     from objconnect.scene.geometry.camera import Camera
 
-    camera = Camera.parse(lens.split())
+    camera = Camera.parse(camera_text.split())
     rays, _ = camera.unproject(camera.pixel_grid())
     return np.asarray(rays[..., :2].numpy())
 

@@ -21,7 +21,8 @@ from objconnect.scene.storage.images import read_rgb
 Array = NDArray[np.float64]
 
 _POINTS_AT_ONCE: Final = 1 << 20  # points that are projected together
-# Minimum number of photographs for a height, and maximum share of a covered square that has fewer.
+# Minimum number of photographs that must see a point of the ground, so that its height can be
+# triangulated, and maximum share of a covered square that fewer see.
 _MIN_VIEWS: Final = 2
 _MAX_UNSEEN_SHARE: Final = 0.05
 _GRID_CELLS: Final = 256  # cells along a side of the grid on which views are counted
@@ -68,7 +69,7 @@ def map_photographs(scene: Scene) -> list[Photograph]:
     ]
 
 
-def covered_square(photographs: Sequence[Photograph], height: float, most_m: float) -> float:
+def covered_square(photographs: Sequence[Photograph], height: float, max_side_m: float) -> float:
     """Return the side of the largest square around the origin that at least two photographs see.
 
     At most 5 % of the square may be seen by fewer photographs.
@@ -76,13 +77,13 @@ def covered_square(photographs: Sequence[Photograph], height: float, most_m: flo
     Args:
         photographs: The photographs of the map.
         height: Height of the ground, metres above the origin.
-        most_m: Maximum side, metres.
+        max_side_m: Maximum side, metres.
 
     Returns:
         The side in metres; 0 where the origin was not photographed.
     """
     axis = (np.arange(_GRID_CELLS) + 0.5) / _GRID_CELLS - 0.5
-    x, y = (most_m * grid.ravel() for grid in np.meshgrid(axis, axis))
+    x, y = (max_side_m * grid.ravel() for grid in np.meshgrid(axis, axis))
     ground = np.stack([x, y, np.full(len(x), height)], -1)
     views = np.zeros(len(ground), int)
     for photograph in photographs:

@@ -144,8 +144,8 @@ def _side(scene: Scene) -> float:
     points = scene.sparse_map().xyz
     if not len(points):
         raise InputError(f"the map of {scene.path} has no points: build it again")
-    most_m = min(2 * float(np.abs(points[:, :2]).max()), _MAX_SIDE_M)
-    side_m = covered_square(photographs, float(np.median(points[:, 2])), most_m)
+    max_side_m = min(2 * float(np.abs(points[:, :2]).max()), _MAX_SIDE_M)
+    side_m = covered_square(photographs, float(np.median(points[:, 2])), max_side_m)
     if side_m < LEAST_SITE_M:
         raise InputError(
             f"at least two photographs of {scene.path} see a square of {side_m:.0f} m around its "

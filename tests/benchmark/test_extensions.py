@@ -61,7 +61,7 @@ class Parcel:
     name = "parcel"
     holds = "parcel.txt (a parcel)"
 
-    def is_one(self, path):
+    def recognizes(self, path):
         return (path / "parcel.txt").is_file()
 
     def open(self, path):

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from objconnect.scene.geometry.camera import Camera
-from simulate.camera.lens import split_lens
+from simulate.camera.lens import cover_by_pinhole
 from simulate.render.job import RenderJob
 from tests.blender import require_blender
 
@@ -50,9 +50,10 @@ def dot_errors(camera: Camera, folder: Path) -> np.ndarray:
     pose[:3, :3] = matrix * np.linalg.det(matrix)
     pose[:3, 3] = [3, -5, 2]
     points = (local - pose[:3, 3]) @ pose[:3, :3]
-    pinhole, lens = split_lens(camera)
+    pinhole, distorted_camera = cover_by_pinhole(camera)
     job = RenderJob(
-        seed=0, side_m=1, condition="summer-noon", camera=pinhole, lens=lens, samples=_SAMPLES,
+        seed=0, side_m=1, condition="summer-noon", camera=pinhole,
+        distorted_camera=distorted_camera, samples=_SAMPLES,
         poses={0: pose.tolist()},
     )  # fmt: skip
     paths = [folder / name for name in ("job.json", "dots.npz", "photograph.npy")]

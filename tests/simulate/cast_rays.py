@@ -18,7 +18,7 @@ from simulate.place.presets import preset
 from simulate.render.blender import _build_scene
 from simulate.render.frame import pinhole_rays
 from simulate.render.job import RenderJob
-from simulate.render.pool import _lens_rays
+from simulate.render.pool import _camera_rays
 
 PIXELS = 1000
 
@@ -28,7 +28,11 @@ def main(job_path: str, out: str) -> None:
     place = preset(job.preset, job.site_path)(job.seed, job.side_m)
     _build_scene(place, condition(job.condition))
     graph = bpy.context.evaluated_depsgraph_get()
-    rays = pinhole_rays(job.camera) if job.lens is None else _lens_rays(job.lens)
+    rays = (
+        pinhole_rays(job.camera)
+        if job.distorted_camera is None
+        else _camera_rays(job.distorted_camera)
+    )
     height, width = rays.shape[:2]
     rng = np.random.default_rng(0)
     found = {name: np.zeros((len(job.poses), PIXELS)) for name in ("depth", "instance")}

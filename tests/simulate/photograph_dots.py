@@ -18,7 +18,7 @@ from mathutils import Matrix
 from simulate.camera.resample import resample_colour
 from simulate.render.blender import _add, _render, _set_up_render
 from simulate.render.job import RenderJob
-from simulate.render.pool import _lens_rays
+from simulate.render.pool import _camera_rays
 
 
 def main(job_path: str, dots_path: str, out: str) -> None:
@@ -46,9 +46,9 @@ def main(job_path: str, dots_path: str, out: str) -> None:
     bpy.context.scene.view_settings.view_transform = "Raw"
     with tempfile.TemporaryDirectory() as scratch:
         picture = _render(pose, np.zeros(3), Path(scratch))["rgb"]
-    if job.lens is not None:
+    if job.distorted_camera is not None:
         c = job.camera
-        picture = resample_colour(picture, c.f * _lens_rays(job.lens) + [c.cx, c.cy])
+        picture = resample_colour(picture, c.f * _camera_rays(job.distorted_camera) + [c.cx, c.cy])
     np.save(out, picture)
 
 

@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 from objconnect.scene.checks.depth_check import DepthFrames, check_depth
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
-from simulate.camera.lens import PRESETS, split_lens
+from simulate.camera.lens import PRESETS, cover_by_pinhole
 from simulate.camera.resample import resample
 from simulate.config import SimulateConfig
 from simulate.flight.config import NadirFlight, ObliqueFlight
@@ -44,8 +44,8 @@ def rays_of(camera: Camera) -> np.ndarray:
 def test_depth_is_exact_at_edges_and_on_planes(name: str) -> None:
     """A box on a tilted ground, of which the truth is known at every pixel."""
     camera = LENSES[name]
-    pinhole, lens = split_lens(camera)
-    assert lens is not None
+    pinhole, distorted_camera = cover_by_pinhole(camera)
+    assert distorted_camera is not None
 
     def ground(rays: np.ndarray) -> np.ndarray:
         return 60 / (1 + 0.3 * rays[..., 0] - 0.2 * rays[..., 1])
@@ -118,13 +118,13 @@ COVERED = [
 @pytest.mark.parametrize("name", COVERED)
 def test_the_pinhole_covers_the_view_as_finely(name: str) -> None:
     camera = CAMERAS[name].resize(320, 240)
-    pinhole, lens = split_lens(camera)
+    pinhole, distorted_camera = cover_by_pinhole(camera)
     if camera.model == "SIMPLE_PINHOLE":
-        assert lens is None
+        assert distorted_camera is None
         assert (pinhole.width, pinhole.height) == (camera.width, camera.height)
         return
-    assert lens is not None
-    assert Camera.parse(lens.split()) == camera
+    assert distorted_camera is not None
+    assert Camera.parse(distorted_camera.split()) == camera
     xy = pinhole.f * rays_of(camera)[..., :2] + [pinhole.cx, pinhole.cy]
     assert xy.min() >= 3.5
     assert (xy.max((0, 1)) <= [pinhole.width - 3.5, pinhole.height - 3.5]).all()
@@ -148,9 +148,10 @@ def flown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     down = plan_nadir(NadirFlight(altitude_m=50.0), windy, 6, rng)[2:4]
     oblique = plan_oblique(ObliqueFlight(radius_m=45.0, altitude_m=40.0), context, 12, rng)
     poses = np.concatenate([down, oblique[:2]])
-    pinhole, lens = split_lens(camera)
+    pinhole, distorted_camera = cover_by_pinhole(camera)
     job = RenderJob(
-        seed=SEED, side_m=AREA, condition="summer-noon", camera=pinhole, lens=lens, samples=1,
+        seed=SEED, side_m=AREA, condition="summer-noon", camera=pinhole,
+        distorted_camera=distorted_camera, samples=1,
         poses={i: pose.tolist() for i, pose in enumerate(poses)},
     )  # fmt: skip
     out: Path = tmp_path_factory.mktemp(request.param)

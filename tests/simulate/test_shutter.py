@@ -115,6 +115,12 @@ def test_a_lens_and_a_rolling_shutter_are_one_line() -> None:
         SimulateConfig.load(
             None, {"sensor": {"readout_s": 0.03}, "camera": {"preset": "phantom-4-rtk-raw"}}
         )
-    job = {"seed": 0, "side_m": 1, "condition": "summer-noon", "camera": CAMERA, "lens": "x"}
+    job = {
+        "seed": 0,
+        "side_m": 1,
+        "condition": "summer-noon",
+        "camera": CAMERA,
+        "distorted_camera": "x",
+    }
     with pytest.raises(ValidationError, match="rolling shutter is not supported"):
         RenderJob(**job, poses={0: np.eye(4).tolist()}, travel={0: (1.0, 0.0, 0.0)})

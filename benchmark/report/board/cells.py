@@ -114,4 +114,4 @@ def recall_at_risk(outcomes: Sequence[PredictedOutcome], threshold: Threshold) -
     ends_tie = np.array([a != b for a, b in pairwise([*doubts, None])])
     allowed = np.flatnonzero(ends_tie & (accepted - correct < RISK * accepted))
     right[allowed[-1] + 1 if len(allowed) else 0 :] = False
-    return share(right, [o.cluster for o in ranked])
+    return share(right, [o.course_name for o in ranked])

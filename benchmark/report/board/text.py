@@ -22,7 +22,7 @@ from benchmark.report.markdown import (
 from benchmark.report.tables import start_in_words
 from benchmark.results.query_result import TOTAL
 from benchmark.scoring.score import THRESHOLDS
-from benchmark.scoring.summary import Recall, Summary, summarize
+from benchmark.scoring.summary import Percentage, Summary, summarize
 from benchmark.submissions.submission import Card
 
 
@@ -48,7 +48,7 @@ class HeadlineRow:
     method: str
     cell_queries: int
     places: int
-    surest: Recall | None
+    surest: Percentage | None
     summary: Summary
 
 
@@ -74,7 +74,7 @@ def _row(board: TrackBoard, cell: Cell, run: BoardRun) -> HeadlineRow:
         method=run.label,
         cell_queries=len(cell.rows),
         places=len(board.datasets_at(rows)),
-        surest=None if surest is None else Recall(**surest._asdict()),
+        surest=None if surest is None else Percentage(**surest._asdict()),
         summary=summarize(answers, unjudged=unjudged),
     )
 

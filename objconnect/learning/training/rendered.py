@@ -51,7 +51,7 @@ class _Frame:
         camera: camera of the photograph.
         cam_from_world: pose (4, 4).
         condition: condition of the session.
-        session: index of the scene, and name of the session.
+        session_key: index of the scene, and name of the session.
         index: index of the frame in the session.
     """
 
@@ -59,7 +59,7 @@ class _Frame:
     camera: Pinhole
     cam_from_world: NDArray[np.float64]
     condition: str
-    session: tuple[int, str]
+    session_key: tuple[int, str]
     index: int
 
 
@@ -126,7 +126,7 @@ class RenderedPairs:
 
     def _objects(self, frame: _Frame, crop_of_frame: Crop) -> PairObjects:
         """Return the objects in a crop of a frame."""
-        number = frame.session[0]
+        number = frame.session_key[0]
         if number not in self._by_id:
             listed = self._scenes[number].objects.objects
             self._by_id[number] = {item.id: item for item in listed}
@@ -146,7 +146,7 @@ class RenderedPairs:
                 for session in scene.sessions
             }
             self._stack = stack
-        return self._open[frame.session]
+        return self._open[frame.session_key]
 
     def _make_pair(self, a: _Frame, b: _Frame, rng: np.random.Generator) -> Pair | None:
         """Return crops around a point that both frames show; None if they share too few points."""

@@ -223,8 +223,8 @@ class LevelCost:
         jacobian = projected.jacobian / self.stride[:, None]
         by_rotation = torch.linalg.cross(in_camera[..., None, :].expand_as(jacobian), jacobian)
         jacobian = torch.cat([by_rotation, jacobian], -1)  # (M, N, 2, 6)
-        weight = (confidence * robust_weight(squared, self.scale))[..., None, None]
-        chained = (weight * gram[..., 1:]) @ jacobian  # (M, N, 3, 6)
+        total_weight = (confidence * robust_weight(squared, self.scale))[..., None, None]
+        chained = (total_weight * gram[..., 1:]) @ jacobian  # (M, N, 3, 6)
         return Linearisation(
             seen=seen,
             weight=confidence,

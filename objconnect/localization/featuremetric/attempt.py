@@ -17,7 +17,7 @@ from objconnect.localization.featuremetric.acceptance import best_probability
 from objconnect.localization.featuremetric.calibration import calibrate_covariance
 from objconnect.localization.featuremetric.evidence import Evidence, measure_evidence
 from objconnect.localization.featuremetric.options import SearchOptions
-from objconnect.localization.featuremetric.problem import fit
+from objconnect.localization.featuremetric.problem import relative_cost
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.views import WarpedImage
 from objconnect.scene.localizer import Estimate, PoseSource, Status, Stopwatch
@@ -44,7 +44,8 @@ class Attempt:
         view: the warped image.
         alignment: the alignment of the view.
         uncertainty: uncalibrated covariance of the view's pose; None if the alignment failed.
-        fit: cost as a share of the cost by chance (``problem.fit``); infinite if it failed.
+        fit: cost as a share of the cost by chance (``problem.relative_cost``); infinite if the
+            alignment failed.
         evidence: figures that tell a right pose from a wrong one; None if it failed.
         log_odds: log odds that the pose is right; minus infinity if it failed.
     """
@@ -68,13 +69,13 @@ class Attempt:
 
 
 def evaluate_alignment(aligned: AlignedView, options: SearchOptions) -> Attempt:
-    """Measure the covariance, the fit and the log odds of an aligned pose."""
+    """Measure the covariance, the relative cost and the log odds of an aligned pose."""
     assert options.acceptance is not None
     view, problem, alignment = aligned.view, aligned.problem, aligned.alignment
     if alignment.has_failed[0]:
         return Attempt(view, alignment, None, math.inf, None, -math.inf)
     uncertainty = measure_uncertainty(problem, alignment.pose)
-    cost_share = fit(problem, alignment.pose)
+    cost_share = relative_cost(problem, alignment.pose)
     evidence = measure_evidence(problem, alignment.pose, float(uncertainty.curvature[0]))
     log_odds = options.acceptance.alignment_log_odds(evidence)
     return Attempt(view, alignment, uncertainty, cost_share, evidence, log_odds)

@@ -138,8 +138,8 @@ class FeaturemetricLocalizer:
         """Return the map's data for alignment; prepare them now if that was deferred."""
         return self._preparation()
 
-    def prepare_first(self, sparse_map: SparseMap, images: Path, cache: Path) -> None:
-        """Prepare matches and defer alignment; see ``objconnect.scene.localizer.PreparesLater``.
+    def prepare_lazily(self, sparse_map: SparseMap, images: Path, cache: Path) -> None:
+        """Prepare matches and defer alignment; see ``objconnect.scene.localizer.PreparesLazily``.
 
         Without matches nothing is deferred, because every query needs the alignment.
         """
@@ -378,14 +378,16 @@ class FeaturemetricLocalizer:
         near = self._prepare_near(query)
         return [refine.align_near(near, each.pose, clock, MATCHES_RADIUS) for each in found]
 
-    def _memory_left_mb(self, magnification: float) -> int:
+    def _memory_left_mb(self, max_magnification: float) -> int:
         """Return how much of ``memory_mb`` is left beside a pass of the network, MB.
 
         Args:
-            magnification: largest factor by which the pass enlarges a photograph.
+            max_magnification: largest factor by which the pass enlarges a photograph.
         """
         cameras = (image.camera for image in self._map.images.values())
-        return max(1, self.config.memory_mb - self._extract.pass_megabytes(cameras, magnification))
+        return max(
+            1, self.config.memory_mb - self._extract.pass_megabytes(cameras, max_magnification)
+        )
 
     def _compute_shorter_side(self, query: Query) -> int:
         """Return the shorter side (px) of the image after its longer side is limited."""

@@ -204,16 +204,16 @@ class MapExtractor:
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self._bfloat16):
             return list(self.network(image, levels=levels, needed=needed))
 
-    def largest_scale(self, camera: Camera, magnification: float = 1.0) -> float:
-        """Return the largest scale of photographs of a camera: ``magnification``, or less if
+    def largest_scale(self, camera: Camera, max_magnification: float = 1.0) -> float:
+        """Return the largest scale of photographs of a camera: ``max_magnification``, or less if
         ``longest`` requires it."""
-        return min(magnification, self.longest / max(camera.width, camera.height))
+        return min(max_magnification, self.longest / max(camera.width, camera.height))
 
-    def pass_megabytes(self, cameras: Iterable[Camera], magnification: float) -> int:
+    def pass_megabytes(self, cameras: Iterable[Camera], max_magnification: float) -> int:
         """Return the approximate peak memory (MB) of a pass on a photograph of any of the cameras,
-        rotated by any angle and enlarged by at most ``magnification``."""
+        rotated by any angle and enlarged by at most ``max_magnification``."""
         sides = (
-            self.largest_scale(camera, magnification) * math.hypot(camera.width, camera.height)
+            self.largest_scale(camera, max_magnification) * math.hypot(camera.width, camera.height)
             for camera in cameras
         )
         return round(max(sides, default=0.0) ** 2 * _PASS_BYTES / MEGABYTE)

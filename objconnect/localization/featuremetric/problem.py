@@ -93,8 +93,8 @@ class ProblemBuilder:
         reference_rows: NDArray[np.int64],
         start: Pose,
         view_from_camera: NDArray[np.float64] | None = None,
-        coarser: float | None = None,
-        magnification: float = 1.0,
+        pixel_ratio: float | None = None,
+        max_magnification: float = 1.0,
     ) -> float:
         """Return the scale at which an image has the ground resolution of the map's photographs.
 
@@ -103,19 +103,19 @@ class ProblemBuilder:
             reference_rows: rows of its reference images.
             start: ``cam_from_world``.
             view_from_camera: (3, 3) rotation that levels the image; None if it is not levelled.
-            coarser: target resolution (m/px) as a multiple of the photographs'; None for the
+            pixel_ratio: target resolution (m/px) as a multiple of the photographs'; None for the
                 photographs' resolution, and for no resizing of an image that nearly has it.
-            magnification: the largest scale.
+            max_magnification: upper bound of the scale.
         """
         points = np.concatenate([self.observations[int(row)].xyz for row in reference_rows])
         resolution = metres_per_pixel(start, camera, points, view_from_camera)
-        largest = self.extract.largest_scale(camera, magnification)
-        # The network needs a view of at least this shorter side.
+        largest = self.extract.largest_scale(camera, max_magnification)
+        # The shorter side of a view must have at least LEAST_SIDE pixels.
         least = LEAST_SIDE / min(camera.width, camera.height)
         wanted = self.observations.target_resolution
         same = SAME_RESOLUTION
-        if coarser is not None:
-            wanted, same = coarser * wanted, 1.0
+        if pixel_ratio is not None:
+            wanted, same = pixel_ratio * wanted, 1.0
         return max(scale_to(wanted, resolution, largest, same), least)
 
     def view(
@@ -147,11 +147,11 @@ class ProblemBuilder:
         query: Query,
         reference_rows: NDArray[np.int64],
         start: Pose,
-        coarser: float | None = None,
+        pixel_ratio: float | None = None,
     ) -> WarpedImage:
-        """Warp an image as ``view`` does; ``coarser`` is as in ``scale``."""
+        """Warp an image as ``view`` does; ``pixel_ratio`` is as in ``scale``."""
         view_from_camera = self._view_from_camera(reference_rows, start)
-        scale = self.scale(query.camera, reference_rows, start, view_from_camera, coarser)
+        scale = self.scale(query.camera, reference_rows, start, view_from_camera, pixel_ratio)
         return self._warp(query, start, scale, view_from_camera)
 
     def magnify(
@@ -160,7 +160,7 @@ class ProblemBuilder:
         reference_rows: NDArray[np.int64],
         start: Pose,
         view: WarpedImage,
-        magnification: float,
+        max_magnification: float,
     ) -> WarpedImage | None:
         """Warp an image that is coarser than the map's photographs to their resolution.
 
@@ -169,14 +169,18 @@ class ProblemBuilder:
             reference_rows: rows of its reference images.
             start: ``cam_from_world``.
             view: the image warped without magnification.
-            magnification: the largest scale.
+            max_magnification: upper bound of the scale.
 
         Returns:
             The warped image; None if ``view`` nearly has the photographs' resolution.
         """
         view_from_camera = self._view_from_camera(reference_rows, start)
         scale = self.scale(
-            query.camera, reference_rows, start, view_from_camera, magnification=magnification
+            query.camera,
+            reference_rows,
+            start,
+            view_from_camera,
+            max_magnification=max_magnification,
         )
         if scale < SAME_RESOLUTION * view.scale:
             return None
@@ -262,7 +266,7 @@ class ProblemBuilder:
         )
 
 
-def fit(problem: Problem, pose: Pose) -> float:
+def relative_cost(problem: Problem, pose: Pose) -> float:
     """Return the cost at a pose as a share of the cost by chance.
 
     The cost by chance is the cost at the same pose after the points in view have swapped their

@@ -18,7 +18,7 @@ from objconnect.localization.featuremetric.priors import DEFAULT_RADIUS, exact_p
 from objconnect.localization.featuremetric.refiner import Refiner
 from objconnect.scene.localizer import Query, Stopwatch
 
-COARSER: Final = 1.5
+PIXEL_RATIO: Final = 1.5
 """Metres per pixel of a screened image as a multiple of those of the map's photographs. Of the
 values 1, 1.5 and 2, 1.5 ranks right candidates best (``python -m experiments.screening``)."""
 
@@ -48,7 +48,7 @@ def screen_candidates(
 
 
 def rough_peak(
-    refine: Refiner, query: Query, candidate: Candidate, coarser: float = COARSER
+    refine: Refiner, query: Query, candidate: Candidate, pixel_ratio: float = PIXEL_RATIO
 ) -> float:
     """Return the peak-to-sidelobe ratio after an alignment on the coarsest level; 0 if it fails.
 
@@ -56,11 +56,11 @@ def rough_peak(
         refine: the refiner that would align the candidate in full.
         query: the image.
         candidate: start of the alignment.
-        coarser: metres per pixel of the image as a multiple of the map photographs'.
+        pixel_ratio: metres per pixel of the image as a multiple of the map photographs'.
     """
     builder, width = refine.problems, refine.search_width
     reference_rows = refine.choose_references(replace(query, prior=exact_prior(candidate.pose)))
-    view = builder.warp(query, reference_rows, candidate.pose, coarser)
+    view = builder.warp(query, reference_rows, candidate.pose, pixel_ratio)
     maps = builder.features(view, levels=1)
     problem = builder.build(
         view, maps, reference_rows, candidate.pose, width.coarse_points

@@ -30,7 +30,14 @@ from objconnect.localization.pipeline.query_image import QueryImage
 from objconnect.localization.pipeline.tracking import SequenceConfig, Tracker
 from objconnect.localization.provenance import Environment, Method
 from objconnect.scene.geometry.pose import Pose
-from objconnect.scene.localizer import Estimate, Localizer, PoseSource, Query, Status, prepare_first
+from objconnect.scene.localizer import (
+    Estimate,
+    Localizer,
+    PoseSource,
+    Query,
+    Status,
+    prepare_lazily,
+)
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.escaping import for_terminal
 from objconnect.scene.runtime.progress import progress_bar
@@ -181,7 +188,7 @@ class _Job:
             cache_or_scratch(self.options.cache, self.out.parent) as cache_folder,
         ):
             prepare = partial(
-                prepare_first,
+                prepare_lazily,
                 localizer,
                 localization_map.sparse_map,
                 localization_map.images,

@@ -110,7 +110,10 @@ class DenseReport:
 
 
 def read_truth(scene: Scene, sparse_map: SparseMap) -> dict[str, Truth]:
-    """Return the truth of every photograph of a map, with undistorted cameras, that has depth."""
+    """Return the truth of every map photograph that has rendered depth.
+
+    It is resampled to the undistorted cameras of the map.
+    """
     sampled: dict[str, tuple[NDArray[np.float32], NDArray[np.uint16]]] = {}
     for session in scene.sessions:
         frames = scene.frames(session)
@@ -165,13 +168,14 @@ class DenseCloud:
     Attributes:
         names: photographs that have a depth map.
         points: number of points of the cloud.
-        cpu_seconds: processor seconds for 512 x 512 pixels of depth maps, None if none was made.
+        cpu_seconds_per_map: processor seconds for 512 x 512 pixels of the depth maps; None if none
+            was made.
     """
 
     workspace: Workspace
     names: Sequence[str]
     points: int
-    cpu_seconds: float | None
+    cpu_seconds_per_map: float | None
 
 
 def report(
@@ -204,7 +208,7 @@ def report(
         photographs=photographs,
         maps=len(names),
         points=cloud.points,
-        cpu_seconds_per_map=cloud.cpu_seconds,
+        cpu_seconds_per_map=cloud.cpu_seconds_per_map,
         accuracy={label: _accuracy(error) for label, error in errors.items() if len(error)},
     )
 

@@ -99,6 +99,6 @@ def check_thermal(root: Path, name: str, camera: Camera, record: Thermal) -> Non
     path = picture_path(root, name)
     if not np.array_equal(read_counts(path, camera, bits=8), record.stretch(counts)):
         raise InputError(
-            f"{path} is not {counts_path(root, name)} between {record.low_c:g} and "
-            f"{record.high_c:g} degrees Celsius: render the scene again"
+            f"{path} does not agree with {counts_path(root, name)}, stretched from "
+            f"{record.low_c:g} to {record.high_c:g} degrees Celsius: render the scene again"
         )

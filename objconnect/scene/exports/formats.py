@@ -68,7 +68,8 @@ FORMATS: Final[Registry[Writer]] = Registry(
         ),
         "ortho": Lazy(
             "objconnect.scene.exports.ortho:write",
-            "an orthophoto and a surface model as GeoTIFFs, from exact depth or that of dense",
+            "an orthophoto and a surface model as GeoTIFFs, from exact depth or the depth maps of "
+            "the command dense",
         ),
     },
 )

@@ -115,14 +115,14 @@ class AssumedSigmas:
     Attributes:
         sigma_m: standard deviation of positions per axis, (3,) metres; None if unknown.
         sigma_deg: standard deviation of attitudes, degrees; None if unknown.
-        source_m: source of ``sigma_m``, a phrase for the warning.
-        source_deg: source of ``sigma_deg``, a phrase for the warning.
+        sigma_m_source: source of ``sigma_m``, a phrase for the warning.
+        sigma_deg_source: source of ``sigma_deg``, a phrase for the warning.
     """
 
     sigma_m: NDArray[np.float64] | None = None
     sigma_deg: float | None = None
-    source_m: str = ""
-    source_deg: str = ""
+    sigma_m_source: str = ""
+    sigma_deg_source: str = ""
 
 
 @dataclass(frozen=True)
@@ -176,8 +176,8 @@ class PriorTable:
         attitudes = sum(row.rotation is not None and row.sigma_deg is None for row in rows)
         doubts = [
             (heights, "heights", "they are taken near the height of the map's cameras"),
-            (positions, "sigma_m", assumed.source_m),
-            (attitudes, "sigma_deg", assumed.source_deg),
+            (positions, "sigma_m", assumed.sigma_m_source),
+            (attitudes, "sigma_deg", assumed.sigma_deg_source),
         ]
         for count, what, instead in doubts:
             if count and instead:

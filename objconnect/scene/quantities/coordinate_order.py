@@ -39,16 +39,16 @@ class PairedTrack:
     Attributes:
         seconds: time of each pair.
         pairs: degrees, in the order of times.
-        homes: take-off positions, in the same unknown order as each of ``pairs``.
-        home_places: take-off positions whose letters state the order; latitude and longitude.
+        home_pairs: take-off positions, in the same unknown order as each of ``pairs``.
+        home_lat_lons: take-off positions whose letters state the order; latitude and longitude.
         distances: index of a pair and its stated distance from take-off, metres.
         speeds: stated speeds over ground, m/s; empty unless every pair has one.
     """
 
     seconds: Sequence[float]
     pairs: Sequence[Pair]
-    homes: Sequence[Pair] = ()
-    home_places: Sequence[Pair] = ()
+    home_pairs: Sequence[Pair] = ()
+    home_lat_lons: Sequence[Pair] = ()
     distances: Sequence[tuple[int, float]] = ()
     speeds: Sequence[float] = field(default=())
 
@@ -107,7 +107,7 @@ def _median_pair(pairs: Collection[Pair]) -> Pair:
 
 
 def _is_on_earth(track: PairedTrack, order: Order) -> bool:
-    places = [to_lat_lon(pair, order) for pair in (*track.pairs, *track.homes)]
+    places = [to_lat_lon(pair, order) for pair in (*track.pairs, *track.home_pairs)]
     return all(abs(latitude) <= 90 and abs(longitude) <= 180 for latitude, longitude in places)
 
 
@@ -119,20 +119,20 @@ def _is_near(track: PairedTrack, order: Order, map_place: Pair | None) -> bool:
 
 def _agrees_with_home(track: PairedTrack, order: Order) -> bool:
     position = to_lat_lon(_median_pair(track.pairs), order)
-    homes = [*track.home_places, *(to_lat_lon(home, order) for home in track.homes)]
+    homes = [*track.home_lat_lons, *(to_lat_lon(home, order) for home in track.home_pairs)]
     return all(ground_distance(position, home) <= REACH_M for home in homes)
 
 
 def _select_by_distance(track: PairedTrack, orders: Sequence[Order]) -> list[Order]:
     """Return the orders whose distances from take-off match the stated ones."""
-    if not track.distances or not (track.homes or track.home_places):
+    if not track.distances or not (track.home_pairs or track.home_lat_lons):
         return []
     tolerance = max(
         _TOLERANCE_M, _TOLERANCE_SHARE * median(stated for _, stated in track.distances)
     )
     misfits: dict[Order, float] = {}
     for order in orders:
-        homes = [*track.home_places, *(to_lat_lon(home, order) for home in track.homes)]
+        homes = [*track.home_lat_lons, *(to_lat_lon(home, order) for home in track.home_pairs)]
         misfits[order] = median(
             min(
                 abs(ground_distance(to_lat_lon(track.pairs[row], order), home) - stated)

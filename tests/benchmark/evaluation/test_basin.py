@@ -9,13 +9,13 @@ import torch
 
 from benchmark.datasets.open import open_datasets
 from benchmark.evaluation.basin import (
-    DEFAULT_SIZES,
+    DEFAULT_ERRORS,
     CourseCounts,
     Level,
-    Size,
+    PriorError,
     basin,
     load_basin,
-    parse_sizes,
+    parse_errors,
 )
 from benchmark.evaluation.evaluate import evaluate
 from benchmark.evaluation.starts import parse_start
@@ -25,7 +25,7 @@ from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Estimate, Query, Status
 from tests.benchmark.made_data import FakeLocalizer
 
-SIZES = (Size(0, 0), Size(1, 2), Size(8, 10))
+ERRORS = (PriorError(0, 0), PriorError(1, 2), PriorError(8, 10))
 
 
 class Believer(FakeLocalizer):
@@ -47,10 +47,10 @@ def priors(method: Believer) -> list[np.ndarray]:
 def test_errors_equal_those_of_the_start_error(made_flight: Path, tmp_path: Path) -> None:
     (dataset,) = open_datasets(made_flight)
     ours, theirs, other = Believer({}), Believer({}), Believer({})
-    basin(dataset, ours, tmp_path, [Size(3, 5)])
+    basin(dataset, ours, tmp_path, [PriorError(3, 5)])
     evaluate(dataset, theirs, tmp_path, parse_start("error=3m,5deg"))
     assert np.array_equal(priors(ours), priors(theirs))
-    basin(dataset, other, tmp_path, [Size(3, 5)], seed=1)
+    basin(dataset, other, tmp_path, [PriorError(3, 5)], seed=1)
     centres = [query.reference.centre().numpy() for query in dataset.queries]
     away = np.array(priors(other)) - centres
     assert np.linalg.norm(away, axis=1) == pytest.approx(3)
@@ -60,7 +60,7 @@ def test_errors_equal_those_of_the_start_error(made_flight: Path, tmp_path: Path
 def test_all_sizes_of_a_query_use_one_direction(made_flight: Path, tmp_path: Path) -> None:
     (dataset,) = open_datasets(made_flight)
     method = Believer({})
-    basin(dataset, method, tmp_path, [Size(1, 2), Size(20, 2)])
+    basin(dataset, method, tmp_path, [PriorError(1, 2), PriorError(20, 2)])
     centre = dataset.queries[0].reference.centre().numpy()
     near, far = (position - centre for position in priors(method)[:2])
     assert far == pytest.approx(20 * near)
@@ -69,7 +69,7 @@ def test_all_sizes_of_a_query_use_one_direction(made_flight: Path, tmp_path: Pat
 def test_recall_falls_with_the_error(made_flight: Path, tmp_path: Path) -> None:
     (dataset,) = open_datasets(made_flight)
     method = Believer({})
-    made = basin(dataset, method, tmp_path, SIZES)
+    made = basin(dataset, method, tmp_path, ERRORS)
     assert [list(level.correct.values()) for level in made.levels] == [
         [3, 3, 3],
         [0, 0, 3],
@@ -85,7 +85,7 @@ def test_recall_falls_with_the_error(made_flight: Path, tmp_path: Path) -> None:
 
 def test_intervals_are_by_course(made_flight: Path, tmp_path: Path) -> None:
     (dataset,) = open_datasets(made_flight)
-    level = basin(dataset, Believer({}), tmp_path, [Size(1, 2)]).levels[0]
+    level = basin(dataset, Believer({}), tmp_path, [PriorError(1, 2)]).levels[0]
     counts = dict.fromkeys(level.correct, 1)
     halves = {name: CourseCounts(queries=2, correct=counts) for name in "ab"}
     numbers = {"queries": 4, "correct": dict.fromkeys(counts, 2), "by_course": halves}
@@ -104,7 +104,7 @@ def test_failures_count_as_wrong(made_flight: Path, tmp_path: Path) -> None:
         "d.jpg": Estimate(Status.FALLBACK, dataset.queries[1].reference, reason="prior"),
         "f.jpg": ValueError("crash"),
     }
-    (level,) = basin(dataset, FakeLocalizer(answers), tmp_path, [Size(1, 1)]).levels
+    (level,) = basin(dataset, FakeLocalizer(answers), tmp_path, [PriorError(1, 1)]).levels
     assert (level.queries, level.failed, level.fallback) == (3, 1, 1)
     assert set(level.correct.values()) == {1}
 
@@ -112,13 +112,13 @@ def test_failures_count_as_wrong(made_flight: Path, tmp_path: Path) -> None:
 def test_an_interrupted_run_leaves_no_file(made_flight: Path, tmp_path: Path) -> None:
     (dataset,) = open_datasets(made_flight)
     with pytest.raises(KeyboardInterrupt):
-        basin(dataset, FakeLocalizer({"f.jpg": KeyboardInterrupt()}), tmp_path / "out", SIZES)
+        basin(dataset, FakeLocalizer({"f.jpg": KeyboardInterrupt()}), tmp_path / "out", ERRORS)
     assert not (tmp_path / "out").exists()
 
 
 def test_sizes_are_read_from_text() -> None:
-    assert parse_sizes("1m/2deg, 3.5m/5deg") == (Size(1, 2), Size(3.5, 5))
-    assert parse_sizes(",".join(str(size) for size in DEFAULT_SIZES)) == DEFAULT_SIZES
+    assert parse_errors("1m/2deg, 3.5m/5deg") == (PriorError(1, 2), PriorError(3.5, 5))
+    assert parse_errors(",".join(str(error) for error in DEFAULT_ERRORS)) == DEFAULT_ERRORS
     for words, message in [
         ("1m", "write errors as"),
         ("", "write errors as"),
@@ -127,7 +127,7 @@ def test_sizes_are_read_from_text() -> None:
         ("1m/200deg", "an attitude error is at most 180 degrees; got 200"),
     ]:
         with pytest.raises(InputError, match=message):
-            parse_sizes(words)
+            parse_errors(words)
 
 
 @pytest.mark.parametrize(
@@ -145,7 +145,7 @@ def test_contradicting_counts_are_refused(
     made_flight: Path, tmp_path: Path, change: dict[str, object]
 ) -> None:
     (dataset,) = open_datasets(made_flight)
-    basin(dataset, Believer({}), tmp_path, SIZES)
+    basin(dataset, Believer({}), tmp_path, ERRORS)
     path = tmp_path / "meadow" / "fake.basin.json"
     stored = json.loads(path.read_text())
     stored["levels"][1] |= change

@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from benchmark.datasets.open import open_datasets
-from benchmark.evaluation.basin import Size, basin
+from benchmark.evaluation.basin import PriorError, basin
 from benchmark.report.album import ALBUM, SIDE, Album, read_album, write_album
 from benchmark.report.leaderboard import leaderboard
 from benchmark.report.page import PICTURE_BYTES
@@ -49,7 +49,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (dataset,) = open_datasets(scene)
     localizer = FakeLocalizer({})
     localizer.name = "sift"
-    basin(dataset, localizer, folder / "out", [Size(0, 0), Size(3, 5)])
+    basin(dataset, localizer, folder / "out", [PriorError(0, 0), PriorError(3, 5)])
     return folder / "out"
 
 
@@ -110,7 +110,7 @@ def test_what_the_reference_poses_do_not_judge_is_a_dash(tmp_path: Path, browser
     (dataset,) = open_datasets(flight)
     localizer = FakeLocalizer({})
     localizer.name = "sift"
-    basin(dataset, localizer, tmp_path / "out", [Size(0, 0), Size(3, 5)])
+    basin(dataset, localizer, tmp_path / "out", [PriorError(0, 0), PriorError(3, 5)])
     leaderboard([tmp_path / "out"], tmp_path / "board")
     browser.open(tmp_path / "board" / "leaderboard.html")
     browser.settle()

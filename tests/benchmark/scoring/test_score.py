@@ -17,7 +17,7 @@ class Scored:
     status: Status
     t_err_m: float | None
     r_err_deg: float | None
-    cluster: str = "a"
+    course_name: str = "a"
 
 
 def ok(metres: float, degrees: float) -> Scored:

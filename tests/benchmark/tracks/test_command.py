@@ -63,7 +63,7 @@ def test_a_finished_place_is_compared_and_left_alone(out: Path, board: Path) -> 
     assert write(out) | write(board) == before
     (place,) = report.places
     assert place.sha256 == open_scene(out / "town-11").sha256
-    assert (place.queries, place.recorded, place.same, place.export) == (7, (), None, None)
+    assert (place.queries, place.recorded_digests, place.same, place.export) == (7, (), None, None)
     assert report.text() == f"town-11: 7 queries, data set {place.sha256[:12]}, not recorded yet"
 
 

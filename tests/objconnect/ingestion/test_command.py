@@ -319,7 +319,7 @@ def test_killed_while_pictures_are_turned_back(
     turned = 0
 
     def write_json(path: Path, value: BaseModel) -> None:
-        if path.name == "turned.json":
+        if path.name == "rotated.json":
             raise KeyboardInterrupt
         objconnect.scene.bundle.manifest.write_json(path, value)
 

@@ -49,7 +49,7 @@ def test_recall_at_risk_has_an_interval_by_course() -> None:
         one.model_copy(update={"course": "abc"[k % 3]}) for k, one in enumerate([*believed, *lost])
     ]
     found = recall_at_risk(outcomes, AT)
-    assert found == share([True] * 40 + [False] * 20, [one.cluster for one in outcomes])
+    assert found == share([True] * 40 + [False] * 20, [one.course_name for one in outcomes])
 
 
 def answer(sigma: float | None, metres: float | None, status: Status | None = None) -> QueryResult:

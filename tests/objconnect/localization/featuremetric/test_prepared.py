@@ -25,11 +25,11 @@ from objconnect.scene.errors import InputError, PreparationError
 from objconnect.scene.localizer import (
     Estimate,
     PoseSource,
-    PreparesLater,
+    PreparesLazily,
     Prior,
     Query,
     Status,
-    prepare_first,
+    prepare_lazily,
 )
 from tests.baselines.pixloc.made_map import write_map
 
@@ -50,8 +50,8 @@ def first(hamlet: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The cache of a method that has prepared what comes first."""
     cache = tmp_path_factory.mktemp("first")
     method = create("objconnect", OPTIONS)
-    assert isinstance(method, PreparesLater)
-    prepare_first(method, hamlet.load_map(), hamlet.images, cache)
+    assert isinstance(method, PreparesLazily)
+    prepare_lazily(method, hamlet.load_map(), hamlet.images, cache)
     return cache
 
 
@@ -61,7 +61,7 @@ def left(hamlet: Dataset, first: Path, tmp_path: Path) -> FeaturemetricLocalizer
     shutil.copytree(first, tmp_path / "cache")
     method = create("objconnect", OPTIONS)
     assert isinstance(method, FeaturemetricLocalizer)
-    prepare_first(method, hamlet.load_map(), hamlet.images, tmp_path / "cache")
+    prepare_lazily(method, hamlet.load_map(), hamlet.images, tmp_path / "cache")
     return method
 
 
@@ -107,7 +107,7 @@ def test_the_first_query_that_needs_them_says_how_long_they_took(
     """Also where other tests have left them in the cache."""
     left = create("objconnect", OPTIONS)
     assert isinstance(left, FeaturemetricLocalizer)
-    prepare_first(left, hamlet.load_map(), hamlet.images, cache)
+    prepare_lazily(left, hamlet.load_map(), hamlet.images, cache)
     now, prepare = 0.0, left._preparation._prepare
 
     def take_an_hour() -> MapState:
@@ -158,7 +158,7 @@ def test_a_photograph_that_is_gone_by_then_is_named(
     shutil.copytree(first, tmp_path / "cache")
     (dataset,) = open_datasets(rendered_copy)
     method, sparse_map = create("objconnect", OPTIONS), dataset.load_map()
-    prepare_first(method, sparse_map, dataset.images, tmp_path / "cache")
+    prepare_lazily(method, sparse_map, dataset.images, tmp_path / "cache")
     (dataset.images / sparse_map.names[0]).unlink()
     with pytest.raises(InputError, match=Path(sparse_map.names[0]).name):
         localize_safely(method, load_with_prior(dataset))
@@ -170,7 +170,7 @@ def test_without_matches_nothing_is_left(tmp_path: Path) -> None:
     for method, more in (("pixloc", {}), ("objconnect", {"matches": None})):
         options = {"longest": 128, **more}
         localizer = create(method, options)
-        prepare_first(localizer, sparse_map, images, tmp_path / method)
+        prepare_lazily(localizer, sparse_map, images, tmp_path / method)
         assert method in list_kinds(tmp_path / method)
         assert isinstance(localizer, FeaturemetricLocalizer)
         assert localizer._preparation._done is not None
@@ -178,7 +178,7 @@ def test_without_matches_nothing_is_left(tmp_path: Path) -> None:
 
 def test_a_method_that_leaves_nothing_is_prepared(hamlet: Dataset, tmp_path: Path) -> None:
     method = create("sift", {})
-    prepare_first(method, hamlet.load_map(), hamlet.images, tmp_path)
+    prepare_lazily(method, hamlet.load_map(), hamlet.images, tmp_path)
     assert method.localize(load_without_prior(hamlet)).by is PoseSource.MATCHES
 
 

@@ -13,7 +13,7 @@ from objconnect.localization.align.options import Options
 from objconnect.localization.align.problem import Problem
 from objconnect.localization.cache.map_cache import MapCache
 from objconnect.localization.featuremetric.maps import MapExtractor
-from objconnect.localization.featuremetric.problem import Levelling, ProblemBuilder, fit
+from objconnect.localization.featuremetric.problem import Levelling, ProblemBuilder, relative_cost
 from objconnect.localization.featuremetric.references import ReferenceSource, load_references
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.views import tilt
@@ -120,7 +120,7 @@ def test_features_that_are_all_the_same_fit_no_better_than_by_chance() -> None:
     made = small()
     pose = Pose(made.truth.rotation[None], made.truth.translation[None])
     problem = Problem(made.levels, made.points, PINHOLE.intrinsics(), pose, DAMPING, Options())
-    assert fit(problem, pose) < 0.5
+    assert relative_cost(problem, pose) < 0.5
     middle = len(made.levels) // 2
     level = made.levels[middle]
     flat = replace(
@@ -129,7 +129,7 @@ def test_features_that_are_all_the_same_fit_no_better_than_by_chance() -> None:
         reference=torch.zeros_like(level.reference),
     )
     levels = [*made.levels[:middle], flat, *made.levels[middle + 1 :]]
-    assert fit(replace(problem, levels=levels), pose) == 1.0
+    assert relative_cost(replace(problem, levels=levels), pose) == 1.0
 
 
 def test_fit_is_the_cost_of_an_alignment_that_takes_no_step() -> None:
@@ -157,12 +157,12 @@ def test_fit_is_the_cost_of_an_alignment_that_takes_no_step() -> None:
         reference_confidence=trusted.reference_confidence[:, other],
     )
     chance = align(replace(problem, levels=[swapped])).cost
-    assert fit(problem, pose) == pytest.approx(float(aligned.cost / chance), rel=1e-4)
+    assert relative_cost(problem, pose) == pytest.approx(float(aligned.cost / chance), rel=1e-4)
 
 
 def test_too_few_points_in_view_fit_nothing() -> None:
     made = small()
     pose = Pose(made.truth.rotation[None], made.truth.translation[None])
     problem = Problem(made.levels, made.points, PINHOLE.intrinsics(), pose, DAMPING, Options())
-    assert fit(problem.first_points(9), pose) == math.inf
-    assert fit(problem.first_points(40), pose) < 0.6
+    assert relative_cost(problem.first_points(9), pose) == math.inf
+    assert relative_cost(problem.first_points(40), pose) < 0.6
