@@ -98,7 +98,7 @@ def test_where_no_pose_is_believed_more_are_tried(
     refine = Refiner.__call__
 
     def record_width(self: Refiner, *arguments: Any) -> Attempt:
-        numbers.append(self.width.refined)
+        numbers.append(self.search_width.refined)
         return refine(self, *arguments)
 
     monkeypatch.setattr(Refiner, "__call__", record_width)
