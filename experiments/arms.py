@@ -52,7 +52,7 @@ def read_arm(folder: Path, method: str, scenes: Sequence[Path]) -> Answers:
         run = load(path)
         for query in run.queries:
             if query.condition not in run.dataset.map_conditions:
-                course = f"{scene.name}/{query.cluster}"
+                course = f"{scene.name}/{query.course_name}"
                 answers[scene.name, query.name] = query.model_copy(update={"course": course})
     return answers
 
@@ -104,7 +104,7 @@ def print_pairs(arms: Mapping[str, Sequence[QueryResult]], tilts: NDArray[np.flo
         arm: np.array([is_correct(answer, _FOUND) for answer in answers])
         for arm, answers in arms.items()
     }
-    courses = np.array([answer.cluster for answer in arms[first]])
+    courses = np.array([answer.course_name for answer in arms[first]])
     print(f"\n| against {first} | queries | won | lost | change, points | p |")
     print("|---|---|--:|--:|--:|--:|")
     for arm in others:
@@ -139,7 +139,7 @@ def main() -> None:
     true_tilts = read_tilts(args.scenes)
     tilts = np.array([true_tilts[name] for name in names])
     arms = {arm: [found[name] for name in names] for arm, found in answers.items()}
-    print(f"{len(names)} queries, {len({a.cluster for a in next(iter(arms.values()))})} courses\n")
+    print(f"{len(names)} queries, {len({a.course_name for a in next(iter(arms.values()))})} courses\n")
     print_recall(arms, tilts)
     print_pairs(arms, tilts)
 
