@@ -37,7 +37,9 @@ COLUMNS: Final[Mapping[str, Column]] = {
     "session": Column("text", "flight that took the photograph, unique within its scene"),
     "condition": Column("text", "season, light and weather"),
     "flight": Column("text", "kind of the session's flight, such as nadir or oblique"),
-    "image": Column("picture", "the photograph's file, unchanged"),
+    "image": Column(
+        "picture", "the photograph's file, unchanged except that sealed queries lack metadata"
+    ),
     "sha256": Column("text", "SHA-256 of the photograph's file"),
     "camera_model": Column("text", "COLMAP's name of the camera model"),
     "width": Column("integer", "width of the photograph, pixels"),

@@ -72,7 +72,7 @@ def write_croissant(folder: Path, facts: CardFacts) -> None:
         "keywords": ["UAV", "visual localization", "camera pose", "COLMAP"],
         "inLanguage": "en",
         **_origin(release),
-        **_responsible_ai(facts.description),
+        **_responsible_ai(facts.description, facts.published.sealed),
         "distribution": [*distribution, _FILE_SET],
         "recordSet": [_record_set(facts.columns)],
     }
@@ -96,12 +96,16 @@ def _citation(name: str, release: Release) -> str:
     return ", ".join(part for part in parts if part is not None)
 
 
-def _responsible_ai(description: Description) -> dict[str, Any]:
+def _responsible_ai(description: Description, sealed: bool) -> dict[str, Any]:
     """Return the fields of the Responsible-AI vocabulary."""
     return {
         "rai:dataCollection": description.making,
         "rai:dataAnnotationProtocol": description.annotation,
-        "rai:dataPreprocessingProtocol": "None: files of photographs are published unchanged.",
+        "rai:dataPreprocessingProtocol": (
+            "Files of map photographs are published unchanged, those of queries without metadata."
+            if sealed
+            else "None: files of photographs are published unchanged."
+        ),
         "rai:dataLimitations": list(description.limitations),
         "rai:dataBiases": list(description.biases),
         "rai:dataUseCases": list(description.uses),

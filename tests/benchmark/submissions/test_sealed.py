@@ -165,6 +165,8 @@ def test_rows_of_queries_hold_photographs_without_metadata(hamlet: Path, tmp_pat
     assert "seed" not in published.config
     assert "sessions" not in published.config
     assert not (tmp_path / "public" / "scenes" / "hamlet" / "objects.json").exists()
+    croissant = json.loads((tmp_path / "public" / "croissant.json").read_text())
+    assert "queries without metadata" in croissant["rai:dataPreprocessingProtocol"]
     shards = sorted((tmp_path / "public").glob("data/*/query-*.parquet"))
     empty = ("cam_from_world", "time", "overlap", "scale", "angle_deg", "days")
     rows = list(read_shards(shards, ("name", "image", "gps_prior", *empty)))
