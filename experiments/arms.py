@@ -139,7 +139,9 @@ def main() -> None:
     true_tilts = read_tilts(args.scenes)
     tilts = np.array([true_tilts[name] for name in names])
     arms = {arm: [found[name] for name in names] for arm, found in answers.items()}
-    print(f"{len(names)} queries, {len({a.course_name for a in next(iter(arms.values()))})} courses\n")
+    print(
+        f"{len(names)} queries, {len({a.course_name for a in next(iter(arms.values()))})} courses\n"
+    )
     print_recall(arms, tilts)
     print_pairs(arms, tilts)
 
