@@ -80,12 +80,12 @@ def measure_similarity(places: dict[str, dict[str, Array]]) -> tuple[float, floa
 
 def test_no_two_places_of_a_new_track_have_correlated_courses() -> None:
     places = fly_track("uav-surprise")
-    assert len(places) == 18
+    assert len(places) == 42
     most, nearest = measure_similarity(places)
     assert most < 0.5
     assert nearest > 20
     flights = {f"{place}/{n}": c for place, of in places.items() for n, c in of.items()}
-    assert len(set(find_courses(flights).values())) == len(flights) == 18 * 12
+    assert len(set(find_courses(flights).values())) == len(flights) == 42 * 12
 
 
 def test_shared_courses_are_found_out() -> None:
@@ -95,8 +95,8 @@ def test_shared_courses_are_found_out() -> None:
     assert most == pytest.approx(1)
     assert nearest == pytest.approx(0, abs=1e-9)
     flights = {f"{place}/{n}": c for place, of in places.items() for n, c in of.items()}
-    # Three seeds.
-    assert len(set(find_courses(flights).values())) == 3 * 12
+    # Six seeds.
+    assert len(set(find_courses(flights).values())) == 6 * 12
 
 
 def test_the_stored_track_flies_as_recorded() -> None:
@@ -178,8 +178,8 @@ def test_objects_move_apart_from_the_season() -> None:
         assert bare == ["leafoff" in s.condition for s in config.sessions]
     assert len(drawn) == 12
     for moved in drawn.values():
-        assert 3 <= sum(moved) <= 15
-    assert 85 <= sum(sum(moved) for moved in drawn.values()) <= 131
+        assert 12 <= sum(moved) <= 30
+    assert 217 <= sum(sum(moved) for moved in drawn.values()) <= 287
 
 
 def test_all_changes_happen_by_default() -> None:
