@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -33,20 +33,21 @@ from objconnect.scene.storage.exif import Exif, write_jpeg
 from objconnect.scene.storage.locks import write_lock
 from objconnect.scene.storage.resumable import ResumableFolder
 from simulate.annotations import measure_covisibility, pixel_digests
-from simulate.base_place import base_place, check_site, keep_site, site_file
+from simulate.base_place import check_site, keep_site, site_file
 from simulate.camera.lens import cover_by_pinhole
 from simulate.camera.sensor import expose
 from simulate.config import SessionConfig, SimulateConfig
-from simulate.flight.clearance import check_flight
 from simulate.flight.gimbal import velocities
 from simulate.listing import describe_objects, list_splits
 from simulate.look.conditions import condition
-from simulate.place.change import ChangedWorld, change_worlds, list_objects
-from simulate.planner import check_plans, plan_session, session_generator
+from simulate.place.change import ChangedWorld
+from simulate.planner import check_plans
 from simulate.render.disk import estimate_bytes, require_space
 from simulate.render.job import RenderJob, frame_path
 from simulate.render.pool import RenderError, render
 from simulate.render.remote import render_files, render_remotely
+from simulate.render.window import Window
+from simulate.scene_plan import SessionPlan, plan_scene
 from simulate.thermal.sensor import describe_thermal, expose_thermal
 
 _CONFIG = f"{TEMPORARY_PREFIX}config.json"
@@ -88,27 +89,21 @@ def _simulate(
     if finished is not None:
         return finished
     check_plans(config)
-    base, report = base_place(config, out, twin)
-    sessions = config.drawn_sessions()
-    worlds = change_worlds(base, [session.world_change for session in sessions])
-    names = config.session_names()
-    # Plan all flights first, so that an impossible flight is refused before rendering.
-    plans = [
-        _plan(name, index, session, config, worlds[index])
-        for index, (name, session) in enumerate(zip(names, sessions, strict=True))
-    ]
+    # All flights are planned first, so that an impossible flight is refused before rendering.
+    plan = plan_scene(config, out, twin)
+    sessions, names, plans = config.drawn_sessions(), config.session_names(), plan.sessions
     pixels_per_frame = max(c.width * c.height for c in map(config.photo_camera, config.sessions))
     left = _count_left(out, names, plans)
     require_space(out, estimate_bytes(left, pixels_per_frame, thermal=config.thermal))
     unfinished.begin()
-    if report is not None:
-        keep_site(out, base, report)
+    if plan.report is not None:
+        keep_site(out, plan.place, plan.report)
     with _renderer(jobs, cluster) as renderer:
-        for name, session, plan in zip(names, sessions, plans, strict=True):
-            _make_session(out, name, session, config, plan, renderer)
-    write_json(out / "objects.json", describe_objects(base, list_objects(base, worlds)))
+        for name, session, session_plan in zip(names, sessions, plans, strict=True):
+            _make_session(out, name, session, config, session_plan, renderer)
+    write_json(out / "objects.json", describe_objects(plan.place, plan.objects))
     write_json(out / "splits.json", list_splits(out, config))
-    scene = Scene(out, _manifest(config, worlds))
+    scene = Scene(out, _manifest(config, plan.worlds))
     write_covisibility(out / COVISIBILITY, measure_covisibility(scene))
     draw_pictures(scene)
     pixels = {"pixels_sha256": pixel_digests(scene)}
@@ -128,7 +123,7 @@ def _renderer(jobs: int, cluster: str | None) -> Iterator[_Renderer]:
 
 
 def _count_left(
-    out: Path, names: Sequence[str], plans: Sequence[_SessionPlan]
+    out: Path, names: Sequence[str], plans: Sequence[SessionPlan]
 ) -> dict[str, tuple[int, int]]:
     """Return the numbers of frames to render and to pack, by unfinished session."""
     left = {}
@@ -220,10 +215,12 @@ def render_job(
     poses: NDArray[np.float64],
     first_new_id: int = 0,
     site_path: Path | None = None,
+    windows: tuple[Window, ...] = (),
 ) -> RenderJob:
     """Return the render job of a session with poses (N, 4, 4) for frames 0 to N - 1.
 
-    ``first_new_id`` is the first id of added objects, ``site_path`` the file of a site's place.
+    ``first_new_id`` is the first id of added objects, ``site_path`` the file of a site's place, and
+    ``windows`` are those of a tiled place.
     """
     pinhole, distorted_camera = cover_by_pinhole(config.photo_camera(session))
     travel = config.sensor.readout_s * velocities(poses, config.interval_s)
@@ -242,6 +239,7 @@ def render_job(
         denoising=config.denoising,
         poses={k: pose.tolist() for k, pose in enumerate(poses)},
         thermal=config.thermal,
+        windows=windows,
         travel={k: (x, y, z) for k, (x, y, z) in enumerate(travel.tolist()) if any((x, y, z))},
     )
 
@@ -251,7 +249,7 @@ def _make_session(
     name: str,
     session: SessionConfig,
     config: SimulateConfig,
-    plan: _SessionPlan,
+    plan: SessionPlan,
     renderer: _Renderer,
 ) -> None:
     """Render and pack a session unless it is finished; ``frames.h5`` is written last."""
@@ -261,7 +259,8 @@ def _make_session(
         shutil.rmtree(rendered, ignore_errors=True)  # a killed run may leave it
         return
     poses = plan.poses
-    job = render_job(config, session, poses, plan.first_new_id, site_file(config, out))
+    site = site_file(config, out)
+    job = render_job(config, session, poses, plan.first_new_id, site, plan.windows)
     with progress_bar(name, len(poses)) as advance:
         done = sum(frame_path(rendered, k).exists() for k in range(len(poses)))
         advance(done)
@@ -283,29 +282,6 @@ def _make_session(
     packed = _pack(folder, frames, adapted, _thermal(config, session))
     write_frames(folder / "frames.h5", frames, tuple(LAYERS), packed)
     shutil.rmtree(rendered)
-
-
-class _SessionPlan(NamedTuple):
-    """A planned session: poses (N, 4, 4), first id of new objects, and its noise generator."""
-
-    poses: NDArray[np.float64]
-    first_new_id: int
-    rng: np.random.Generator
-
-
-def _plan(
-    name: str, index: int, session: SessionConfig, config: SimulateConfig, changed: ChangedWorld
-) -> _SessionPlan:
-    """Plan a session.
-
-    Raises:
-        InputError: the session cannot be flown.
-    """
-    rng = session_generator(config, index)
-    camera = config.photo_camera(session)
-    poses = plan_session(session, config, camera, changed.world, rng)
-    check_flight(name, poses, camera, changed.world)
-    return _SessionPlan(poses, changed.first_new_id, rng)
 
 
 def _frames(

@@ -27,6 +27,7 @@ from simulate.flight.context import MAX_PHOTOGRAPHS
 from simulate.look.conditions import DEFAULT_ORIGIN, condition
 from simulate.place.change import Change
 from simulate.place.presets import SITE, preset
+from simulate.place.tiles import MAX_TILED_SIDE_M
 from simulate.render.job import Denoising
 from simulate.seeds import MAX_SEED, change_generator
 from simulate.session_words import Role, parse_session
@@ -159,8 +160,9 @@ class SimulateConfig(Config):
     area: float = Field(
         200.0,
         ge=LEAST_SITE_M,
-        le=2000,
-        description="Side of the square place, m; at least 120, or 40 for a site.",
+        le=MAX_TILED_SIDE_M,
+        description="Side of the square place, m; at least 120, or 40 for a site. A place of more "
+        "than 2000 m consists of tiles, which are built where photographs show them.",
     )
     size: int = Field(
         512,

@@ -26,7 +26,7 @@ from simulate.flight.config import (
     draw_plan,
     plan_digest,
 )
-from simulate.flight.context import FlightContext, Wind
+from simulate.flight.context import FlightContext, FreeTest, Wind
 from simulate.flight.flights import plan_grid, plan_nadir, plan_oblique
 from simulate.flight.gimbal import Aims, perturb_poses
 from simulate.flight.qgroundcontrol import check_plan, read_plan
@@ -73,6 +73,7 @@ def plan_session(
     camera: Camera,
     world: World,
     rng: np.random.Generator,
+    free: FreeTest | None = None,
 ) -> Array:
     """Plan the poses of a session's photographs.
 
@@ -82,6 +83,8 @@ def plan_session(
         camera: The camera of the photographs; its footprint is approximated by a pinhole.
         world: The place with the session's change.
         rng: The random generator of the session, see ``session_generator``.
+        free: Returns which positions (N, 3) are free for a camera; None takes the objects of
+            ``world``.
 
     Returns:
         The poses ``cam_from_world`` (N, 4, 4) float64 in flying order.
@@ -98,7 +101,7 @@ def plan_session(
         defaults=draw_plan(defaults, rng) if config.courses == "own" else defaults,
         wind=Wind(config.position_jitter_m, config.attitude_jitter_deg),
         roads=world.roads,
-        is_free=partial(is_free, world=world),
+        is_free=free or partial(is_free, world=world),
         origin=config.origin,
     )
     frames = None if flight.determines_frames else session.frames or config.frames

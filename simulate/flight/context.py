@@ -18,6 +18,9 @@ Array = NDArray[np.float64]
 GroundHeight = Callable[[Array, Array], Array]
 """Ground height in metres at world x, y (N,) metres, such as ``World.terrain.height``."""
 
+FreeTest = Callable[[Array], NDArray[np.bool_]]
+"""Whether each of the positions (N, 3), world metres, is free for a camera, (N,)."""
+
 MAX_PHOTOGRAPHS: Final = 20_000
 """Maximum number of photographs of a flight; more indicate a mistake."""
 
@@ -63,7 +66,7 @@ class FlightContext:
     defaults: FlightPlan = MAP_PLAN
     wind: Wind = Wind()
     roads: tuple[Road, ...] = ()
-    is_free: Callable[[Array], NDArray[np.bool_]] = _is_free_everywhere
+    is_free: FreeTest = _is_free_everywhere
     origin: Geodetic = _DEFAULT_ORIGIN
 
     def footprint_m(self, altitude_m: float) -> tuple[float, float]:

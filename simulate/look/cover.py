@@ -57,7 +57,8 @@ def cover(world: World, condition: Condition) -> Cover:
 def _flood(world: World, condition: Condition) -> Float | None:
     """Return the share (n, n), 0 to 1, of standing water; None without a flood.
 
-    One level surface covers the lowest part of the open ground, as large as the weather states.
+    One level surface covers the lowest part of the open ground, as large as the weather states. In
+    a tile, its level is that of the whole place, where all ground counts.
     """
     if condition.weather.flood == 0:
         return None
@@ -67,7 +68,8 @@ def _flood(world: World, condition: Condition) -> Float | None:
     if not is_open.any():
         return np.zeros((n, n), np.float32)
     height = _resize(_heights(world), n)
-    level = float(np.quantile(height[is_open][::97], condition.weather.flood))
+    sample = height[is_open][::97] if world.land_heights is None else world.land_heights
+    level = float(np.quantile(sample, condition.weather.flood))
     rng = np.random.default_rng([world.seed, 5])
     rough = 0.08 * noise(rng, n, n * world.ground.texel_m / 6.0)
     return np.asarray(np.clip((level - height + rough) / _SHORE_M, 0, 1) * is_open)
@@ -96,7 +98,8 @@ def _shelter(world: World, condition: Condition) -> Float | None:
     soft = cv2.GaussianBlur(shade, (0, 0), 0.7 / cell).astype(np.float32) / 255
     north, east = np.gradient(height, cell)
     facing = east * away[0] + north * away[1]  # negative where the ground falls away from the sun
-    low = (height.mean() - height) / max(float(height.std()), 0.1)
+    land = height if world.land_heights is None else world.land_heights
+    low = (land.mean() - height) / max(float(land.std()), 0.1)
     shelter = 0.9 * soft + 0.15 * np.clip(low, -2, 2) - 4.0 * np.clip(facing, -0.1, 0.1)
     return _resize(shelter, len(world.ground.labels))
 
@@ -104,7 +107,7 @@ def _shelter(world: World, condition: Condition) -> Float | None:
 def _litter(world: World, condition: Condition) -> Float | None:
     """Return the coverage (n, n), 0 to 1, by fallen leaves; None if the season has none.
 
-    Leaves lie under broadleaved trees and, fewer, downwind of them.
+    Leaves lie under broadleaved trees and, fewer, all around them.
     """
     if condition.season.litter == 0:
         return None

@@ -6,7 +6,7 @@ The functions receive Blender's data and do not import ``bpy``, which only the r
 from __future__ import annotations
 
 from math import isfinite
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,8 @@ _LAMP_GLOW = 12.0  # radiance of lamps, on the scale of nights
 _ROOM_WARM: Rgb = (1.0, 0.46, 0.14)
 _ROOM_COOL: Rgb = (1.0, 0.86, 0.68)
 _ROOM_GLOW = 0.22
+RANDOM_KEY: Final = "random_key"
+"""Property of a Blender object: the number by which the lit windows of a building are drawn."""
 _WET_DARKENING = 0.35  # relative darkening of wet walls, roofs and paint
 
 
@@ -37,11 +39,13 @@ def build_materials(
     ground: NDArray[np.uint8],
     specular: NDArray[np.uint8],
     seed: int,
+    origin: tuple[float, float] = (0.0, 0.0),
 ) -> dict[str, Any]:
     """Build the Blender materials, by the names that meshes use.
 
     The materials read the attribute "tint" and the texture coordinates "uv" of meshes, and the
-    colour of objects, whose alpha is 1 for vehicles in traffic and 0 for other objects. At night,
+    colour of objects, whose alpha is 1 for vehicles in traffic and 0 for other objects, and the
+    property ``RANDOM_KEY`` of buildings. At night,
     windows and lamps glow, but do not light other surfaces. ``simulate.look.lamps`` lights them.
 
     Args:
@@ -50,6 +54,8 @@ def build_materials(
         ground: Baked albedo (n, n, 3) of the ground, uint8 sRGB.
         specular: Specular share (n, n) of the ground, uint8.
         seed: Seed of the place, by which windows are lit at night.
+        origin: Position of the scene's origin in the place, metres. It moves the noise of
+            surfaces, so that these look the same in every window of a tiled place.
     """
     build = _Builder(data, condition, seed)
     image = build.image("ground", np.dstack([ground, specular]))
@@ -70,10 +76,22 @@ def build_materials(
     materials["glass"] = build.glass()
     materials["leaf"] = build.leaf("leaf", condition.season.leaf, condition.season.leaf_tip)
     materials["needle"] = build.leaf("needle", *SUMMER_LEAF)
+    if any(origin):
+        for material in materials.values():
+            _move_noise(material, (*origin, 0.0))
     if isfinite(condition.weather.visibility_m):
         for material in materials.values():
             _add_fog(material, condition)
     return materials
+
+
+def _move_noise(material: Any, offset: tuple[float, float, float]) -> None:
+    """Add an offset, metres, to the positions at which a finished material takes noise."""
+    graph = _Graph.from_material(material)
+    links = [link for link in graph.tree.links if link.from_socket.name == "Position"]
+    for link in links:
+        position, noise = link.from_socket, link.to_socket
+        graph.tree.links.new(graph.vector("ADD", position, offset), noise)
 
 
 def _add_fog(material: Any, condition: Condition) -> None:
@@ -176,8 +194,9 @@ class _Builder:
         cells = (textures.BAYS, textures.FLOORS, 1.0)
         window = graph.vector("MULTIPLY", graph.attribute("uv", "Vector"), cells)
         window = graph.vector("ADD", graph.vector("FLOOR", window), (0.5, 0.5, self.seed % 4096))
-        building = graph.node("ShaderNodeObjectInfo").outputs["Object Index"]
-        draw = graph.white_noise(window, building)
+        building = graph.node("ShaderNodeAttribute")
+        building.attribute_type, building.attribute_name = "OBJECT", RANDOM_KEY
+        draw = graph.white_noise(window, building.outputs["Fac"])
         lit = graph.math("LESS_THAN", draw.outputs["Value"], share)
         warmth = graph.red(draw.outputs["Color"])
         colour = graph.mix(warmth, graph.rgb(_ROOM_WARM), graph.rgb(_ROOM_COOL))

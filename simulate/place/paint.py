@@ -22,10 +22,17 @@ def texel_size(side_m: float) -> float:
 
 
 def paint(
-    side_m: float, regions: Iterable[Region], markings: Iterable[Marking], base: str = "grass"
+    side_m: float,
+    regions: Iterable[Region],
+    markings: Iterable[Marking],
+    texel_m: float | None = None,
+    base: str = "grass",
 ) -> Ground:
-    """Paint regions over a base class on a raster of the whole area, later ones over earlier."""
-    n = round(side_m / texel_size(side_m))
+    """Paint regions over a base class on a raster of the whole area, later ones over earlier.
+
+    Texels are about ``texel_m`` metres wide; None chooses their side by that of the area.
+    """
+    n = round(side_m / (texel_m or texel_size(side_m)))
     texel = side_m / n
     labels = np.full((n, n), CLASSES[base], np.uint8)
     tone = np.full((n, n), 128, np.uint8)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Final, Protocol
 
 import numpy as np
 
@@ -11,18 +12,23 @@ from objconnect.scene.errors import InputError
 from simulate.place.builder import PlaceBuilder
 from simulate.place.kerbs import lay_kerbs, raise_objects
 from simulate.place.paint import paint
-from simulate.place.relief import relief
+from simulate.place.relief import Point, relief
 from simulate.place.streets import (
     TOWN_STREETS,
     Block,
+    Lattice,
     StreetKind,
     divide,
+    draw_bounded_lattice,
+    draw_lattice,
     lay_streets,
     outlines,
 )
 from simulate.place.world import Heightfield, Surroundings, World
 
 MIN_SIDE_M, MAX_SIDE_M = 100.0, 2000.0
+TILE_TEXEL_M: Final = 0.25
+"""Side of a ground texel in a tiled place, metres: about that of a place of 1 km."""
 _CORE_M = 600.0  # farther from the middle, most blocks are open land
 _OUTSKIRTS_OPEN = 0.92  # share of open land among those blocks
 
@@ -30,8 +36,14 @@ Use = Callable[[PlaceBuilder, Block], None]
 """A function that fills a block."""
 RoadsidePlacer = Callable[[PlaceBuilder], None]
 """A function that places objects along the roads."""
-Relief = Callable[[float, np.random.Generator], Heightfield]
-"""A function that draws the terrain of a place from its side in metres."""
+
+
+class Relief(Protocol):
+    """A function that draws terrain; see ``simulate.place.relief.relief``."""
+
+    def __call__(
+        self, side_m: float, rng: np.random.Generator, centre: Point = ...
+    ) -> Heightfield: ...
 
 
 @dataclass(frozen=True)
@@ -108,9 +120,50 @@ class Plan:
             raise InputError(f"seed must not be negative, got {seed}")
         rng = np.random.default_rng([seed, 0])
         builder = PlaceBuilder(side_m, self.relief(side_m, rng), rng, self.steep)
-        least = max(2, len(self.quarters))
-        pitch_m = side_m / max(least, round(side_m / self.block_m))
-        blocks = lay_streets(builder, pitch_m, self.streets)
+        pitch_m = self._pitch_m(side_m)
+        return self._build(builder, draw_lattice(rng, side_m, pitch_m, self.streets), seed)
+
+    def build_tile(self, seed: int, side_m: float, index: tuple[int, int], centre: Point) -> World:
+        """Build one tile of a tiled place, see ``simulate.place.tiles``.
+
+        The tile is bounded by roads, and its coordinates are relative to its centre. Its heights
+        equal those of the neighbouring tiles on the common border.
+
+        Args:
+            seed: Seed of the tiled place.
+            side_m: Side of the tile, metres.
+            index: Row, from the south, and column, from the west, of the tile.
+            centre: Centre of the tile in the tiled place, metres.
+
+        Raises:
+            InputError: The tile needs more objects than there are ids.
+        """
+        terrain = self.draw_relief(seed, side_m, centre)
+        key = [seed, 0, *index]
+        rng = np.random.default_rng(key)
+        builder = PlaceBuilder(side_m, terrain, rng, self.steep)
+        pitch_m = self._pitch_m(side_m)
+        lattice = draw_bounded_lattice(rng, side_m, pitch_m, self.streets)
+        tile_seed = int(np.random.SeedSequence(key).generate_state(1)[0])
+        world = self._build(builder, lattice, tile_seed, TILE_TEXEL_M)
+        # Still water levels the ground around it, which must not reach the neighbouring tiles.
+        nodes = world.terrain.nodes.copy()
+        nodes[[0, -1]], nodes[:, [0, -1]] = terrain.nodes[[0, -1]], terrain.nodes[:, [0, -1]]
+        return replace(world, terrain=Heightfield(nodes, terrain.spacing_m))
+
+    def draw_relief(self, seed: int, side_m: float, centre: Point = (0.0, 0.0)) -> Heightfield:
+        """Return the terrain of a square in a tiled place, before still water levels it."""
+        return self.relief(side_m, np.random.default_rng([seed, 0]), centre)
+
+    def _pitch_m(self, side_m: float) -> float:
+        return side_m / max(2, len(self.quarters), round(side_m / self.block_m))
+
+    def _build(
+        self, builder: PlaceBuilder, lattice: Lattice, seed: int, texel_m: float | None = None
+    ) -> World:
+        """Build a place on its terrain, with streets on a lattice; ``seed`` draws its textures."""
+        side_m = builder.side_m
+        blocks = lay_streets(builder, lattice, self._pitch_m(side_m), self.streets)
         for line_roads in self.before_blocks:
             line_roads(builder)
         parts = divide(blocks, side_m, len(self.quarters))
@@ -118,7 +171,7 @@ class Plan:
             quarter.fill(builder, part)
         for line_roads in self.after_blocks:
             line_roads(builder)
-        ground = paint(side_m, builder.regions, builder.markings)
+        ground = paint(side_m, builder.regions, builder.markings, texel_m)
         kerbs = lay_kerbs(builder.roads, ground)
         return World(
             seed=seed,

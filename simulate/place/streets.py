@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +16,9 @@ from simulate.place.world import Road, polyline_length, polyline_points, ribbon
 Array = NDArray[np.float64]
 
 _STEP_M = 3.0  # distance between the points of a centre line
+_MISSING_SHARE = 0.22  # share of the pieces of streets along v that do not exist
+# Tone of the roads on the border of an area. Two neighbouring areas lay half of such a road each.
+_BORDER_TONE = 0.5
 
 
 @dataclass(frozen=True)
@@ -41,12 +44,16 @@ TOWN_STREETS: Final = StreetKind()
 
 @dataclass(frozen=True)
 class Warp:
-    """Maps plan metres (u, v) to world metres by a rotation and two smooth waves."""
+    """Maps plan metres (u, v) to world metres by a rotation and two smooth waves.
+
+    The waves fade to nothing at ``half_side_m`` from the origin.
+    """
 
     rotation: float
     amplitude: Array  # (2, 2) metres, wave x axis
     wave: Array  # (2, 2) radians per metre, wave x axis
     phase: Array  # (2,) radians
+    half_side_m: float = np.inf
 
     @staticmethod
     def random(rng: np.random.Generator, pitch_m: float, bend: float) -> Warp:
@@ -63,7 +70,8 @@ class Warp:
     def __call__(self, uv: ArrayLike) -> Array:
         """Map plan points (..., 2) to world points (..., 2), metres."""
         p = np.asarray(uv, float)
-        p = p + np.sin(p @ self.wave.T + self.phase) @ self.amplitude
+        fade = np.maximum(1 - (p / self.half_side_m) ** 2, 0).prod(-1, keepdims=True)
+        p = p + fade * (np.sin(p @ self.wave.T + self.phase) @ self.amplitude)
         cos, sin = np.cos(self.rotation), np.sin(self.rotation)
         return np.asarray(p @ np.array([[cos, sin], [-sin, cos]]))
 
@@ -132,27 +140,87 @@ class Block:
         return self.warp([0.5 * (self.u0 + self.u1), 0.5 * (self.v0 + self.v1)])
 
 
-def lay_streets(builder: PlaceBuilder, pitch_m: float, kind: StreetKind) -> list[Block]:
-    """Lay roads, verges and markings, and return the blocks between them.
+class Lattice(NamedTuple):
+    """The lines of streets in plan coordinates, before the warp; each pair is along v, along u.
 
-    The roads are about ``pitch_m`` metres apart. The blocks cover the area, and those nearest the
-    origin come first.
+    Attributes:
+        warp: Warp of the plan.
+        lines: Positions (U,) of the streets along v, and (V,) of those along u, metres.
+        main: Whether each street is a main road, (U,) and (V,).
+        widths: Widths of the carriageways, (U,) and (V,) metres.
+        present: Whether each piece of a street along v exists, (U, V - 1). Missing pieces make T
+            junctions.
+        bounded: Whether the outermost streets are the border of the area.
     """
-    rng = builder.rng
+
+    warp: Warp
+    lines: tuple[Array, Array]
+    main: tuple[NDArray[np.bool_], NDArray[np.bool_]]
+    widths: tuple[Array, Array]
+    present: NDArray[np.bool_]
+    bounded: bool
+
+
+def draw_lattice(
+    rng: np.random.Generator, side_m: float, pitch_m: float, kind: StreetKind
+) -> Lattice:
+    """Draw rotated streets about ``pitch_m`` metres apart that cover an area and its edges."""
     warp = Warp.random(rng, pitch_m, kind.bend)
-    cells = int(np.ceil(0.5 * builder.side_m * 1.3 / pitch_m)) + 1  # on each side of the origin
-    lines = [
+    cells = int(np.ceil(0.5 * side_m * 1.3 / pitch_m)) + 1  # on each side of the origin
+    us, vs = (
         pitch_m * (np.arange(-cells, cells + 1) + rng.uniform(-0.14, 0.14, 2 * cells + 1))
         for _ in range(2)
-    ]
+    )
     main = [rng.random(2 * cells + 1) < 0.35 for _ in range(2)]
     main[int(rng.integers(2))][cells] = True
-    widths = [np.where(m, *kind.widths_m) for m in main]
-    (us, vs), (u_main, v_main), (u_widths, v_widths) = lines, main, widths
-    # Pieces of streets along v may be missing, which makes T junctions.
-    present = rng.random((len(us), len(vs) - 1)) > 0.22
-    present[u_main] = True
+    u_widths, v_widths = (np.where(m, *kind.widths_m) for m in main)
+    present = rng.random((len(us), len(vs) - 1)) > _MISSING_SHARE
+    present[main[0]] = True
+    return Lattice(warp, (us, vs), (main[0], main[1]), (u_widths, v_widths), present, bounded=False)
 
+
+def draw_bounded_lattice(
+    rng: np.random.Generator, side_m: float, pitch_m: float, kind: StreetKind
+) -> Lattice:
+    """Draw streets about ``pitch_m`` metres apart, the outermost of which are the area's borders.
+
+    Streets on the border are straight, unmarked and as wide as main roads, so that the halves that
+    two neighbouring areas lay of them fit together.
+    """
+    drawn = Warp.random(rng, pitch_m, kind.bend)
+    warp = replace(drawn, rotation=0.0, half_side_m=0.5 * side_m)
+    count = max(2, round(side_m / pitch_m))
+    lines, main, widths = [], [], []
+    for _ in range(2):
+        shift = rng.uniform(-0.14, 0.14, count + 1)
+        is_main = rng.random(count + 1) < 0.35
+        shift[[0, -1]], is_main[[0, -1]] = 0.0, False
+        width = np.where(is_main, *kind.widths_m)
+        width[[0, -1]] = kind.widths_m[0]
+        lines.append((np.arange(count + 1) - 0.5 * count + shift) * side_m / count)
+        main.append(is_main)
+        widths.append(width)
+    present = rng.random((count + 1, count)) > _MISSING_SHARE
+    present[main[0]] = present[[0, -1]] = True
+    return Lattice(
+        warp,
+        (lines[0], lines[1]),
+        (main[0], main[1]),
+        (widths[0], widths[1]),
+        present,
+        bounded=True,
+    )
+
+
+def lay_streets(
+    builder: PlaceBuilder, lattice: Lattice, pitch_m: float, kind: StreetKind
+) -> list[Block]:
+    """Lay roads, verges and markings, and return the blocks between them.
+
+    The blocks cover the area, and those nearest the origin come first.
+    """
+    warp, present = lattice.warp, lattice.present
+    (us, vs), (u_main, v_main), (u_widths, v_widths) = lattice.lines, lattice.main, lattice.widths
     roads = []
     for v, width, is_main in zip(vs, v_widths, v_main, strict=True):
         u = np.arange(us[0], us[-1], _STEP_M)
@@ -167,6 +235,9 @@ def lay_streets(builder: PlaceBuilder, pitch_m: float, kind: StreetKind) -> list
             roads.append(Road(line, float(u_widths[k]), bool(u_main[k])))
     builder.lay_roads(roads)
     _pave(builder, warp(np.stack(np.meshgrid(us, vs), -1).reshape(-1, 2)), kind)
+    if lattice.bounded:
+        for line in _border_lines(builder.side_m):
+            builder.paint(kind.surface, ribbon(line, kind.widths_m[0]), _BORDER_TONE)
 
     blocks = []
     for i in range(len(us) - 1):
@@ -188,6 +259,13 @@ def lay_streets(builder: PlaceBuilder, pitch_m: float, kind: StreetKind) -> list
     reach = 0.5 * builder.side_m + 0.75 * pitch_m
     blocks = [b for b in blocks if np.abs(b.centre()).max() < reach]
     return sorted(blocks, key=lambda b: float(np.linalg.norm(b.centre())))
+
+
+def _border_lines(side_m: float) -> Iterator[Array]:
+    """Yield the four sides (2, 2) of the area, metres."""
+    corners = 0.5 * side_m * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    for k in range(4):
+        yield corners[[k, (k + 1) % 4]]
 
 
 def divide(blocks: Sequence[Block], side_m: float, count: int) -> list[list[Block]]:

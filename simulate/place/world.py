@@ -242,6 +242,7 @@ class WorldObject:
     have a style. ``driven`` vehicles are in traffic, with their lights on at night. ``slope`` is
     the rise of the ground along the length and the width of an object that leans with it, metres a
     metre; None for an upright object. The box is always upright, and higher if its object leans.
+    ``key`` is the number by which random properties of an object of a tile are drawn.
     """
 
     id: int
@@ -254,6 +255,12 @@ class WorldObject:
     style: BuildingStyle | None = None
     driven: bool = False
     slope: Slope | None = None
+    key: int | None = None
+
+    @property
+    def random_key(self) -> int:
+        """Return the number by which random properties are drawn; without a key, the id."""
+        return self.id if self.key is None else self.key
 
     @property
     def height_m(self) -> float:
@@ -269,14 +276,19 @@ class WorldObject:
 class World:
     """A square place of ``side_m`` metres, centred on the origin, east-north-up, Z up.
 
-    Its surroundings do not overlap and cover the place, or there are none. The last four attributes
-    belong to sites, whose terrain is the surface including buildings and trees.
+    Its surroundings do not overlap and cover the place, or there are none. The attributes
+    from ``imagery`` to ``level_m`` belong to sites, whose terrain is the surface including
+    buildings and trees.
 
     Attributes:
         imagery: The appearance of a site.
         bare_ground: Ground of a site below buildings and trees, the reference of flight altitudes.
         margin_m: Width of the margin around the place with terrain and ground, metres.
         level_m: Height of the land around the place, metres.
+        tiles: The tiles of a part of a tiled place, from south to north and from west to east, each
+            with its own coordinates. The ground of each is textured by its own seed.
+        land_heights: Heights (K,) of the whole place around a tile, metres; None for a place that
+            is no tile.
     """
 
     seed: int
@@ -291,6 +303,8 @@ class World:
     bare_ground: Heightfield | None = None
     margin_m: float = 0.0
     level_m: float = 0.0
+    tiles: tuple[tuple[World, ...], ...] = ()
+    land_heights: NDArray[np.float64] | None = None
 
     @property
     def flight_ground(self) -> Heightfield:

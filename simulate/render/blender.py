@@ -23,19 +23,16 @@ from objconnect.scene.runtime.memory import resident_bytes
 from objconnect.scene.storage.scratch import scratch
 from simulate.camera.pinhole import PinholeCamera
 from simulate.camera.resample import resample, resample_values
-from simulate.look import conditions, ground
+from simulate.look import conditions
 from simulate.look.conditions import Condition
-from simulate.look.cover import cover
+from simulate.look.ground_images import GroundImages, bake_ground
 from simulate.look.individual import individual_mesh
 from simulate.look.lamps import Beam, beams
 from simulate.look.light import add_light
-from simulate.look.materials import build_materials
+from simulate.look.materials import RANDOM_KEY, build_materials
 from simulate.look.mesh import Mesh
 from simulate.look.props import shape_mesh
-from simulate.look.survey_albedo import bake_albedo, bake_specular
 from simulate.look.terrain import ground_mesh, kerbs_mesh
-from simulate.place.change import change_world
-from simulate.place.presets import preset
 from simulate.place.world import World
 from simulate.render.board import board_mesh
 from simulate.render.caster import Caster
@@ -51,8 +48,10 @@ from simulate.render.job import Board, FrameDone, RenderChunk, RenderJob, frame_
 from simulate.render.precipitation import precipitate
 from simulate.render.process import end_with, keep_to_one_core
 from simulate.render.reach import Reach, depth_inside
+from simulate.render.rendered_world import build_world, find_ids, numbered_ids
 from simulate.render.shutter import roll_shutter
-from simulate.thermal.camera import GroundImages, ThermalCamera
+from simulate.render.window import move_pose
+from simulate.thermal.camera import ThermalCamera
 
 _SENSOR_MM = 36.0
 # Cycles offsets the first ray of a pixel by this much (px) to the right and up, because it samples
@@ -73,19 +72,20 @@ def main(chunk_path: str) -> None:
         keep_to_one_core()
     job = chunk.job
     world = stage = condition = thermal = None
+    x = y = 0.0
     if job.board is not None:
         _build_board(job.board)
     else:
-        base = preset(job.preset, job.site_path)(job.seed, job.side_m)
-        world = change_world(base, job.change, job.first_new_id).world
+        world, (x, y) = build_world(job)
         condition = conditions.condition(job.condition, job.origin)
-        thermal = _thermal_camera(job, world, condition, _build_scene(world, condition))
+        thermal = _thermal_camera(job, world, condition, _build_scene(world, condition, (x, y)))
         stage = _Stage(world, condition)
     _set_up_render(job, chunk.threads)
     bpy.context.scene.cycles.use_denoising = job.board is None  # denoising shifts edges of a board
     rays = pinhole_rays(job.camera) if chunk.rays is None else np.load(chunk.rays)
     bpy.context.view_layer.update()
-    caster = Caster(bpy.context.scene.objects, _NEAR_M)
+    ids = numbered_ids(world)
+    caster = Caster(bpy.context.scene.objects, ids, _NEAR_M)
     first_bytes = None  # memory after the first frame
     with scratch(Path(chunk_path).parent) as folder:
         for frame, rows in job.poses.items():
@@ -93,14 +93,14 @@ def main(chunk_path: str) -> None:
             if path.exists():
                 continue
             start = time.monotonic()
-            pose = np.asarray(rows, float)
+            pose = move_pose(np.asarray(rows, float), (x, y))
             # The noise depends on the job's seed and the frame's number, not on process or order.
             state = np.random.SeedSequence([job.seed, frame]).generate_state(1)[0]
             bpy.context.scene.cycles.seed = int(state >> 1)
             travel = np.array(job.travel.get(frame, (0.0, 0.0, 0.0)))
             if stage is not None:
                 stage.set_up(job.camera, pose, float(np.linalg.norm(travel)))
-            arrays = _render(pose, travel, folder)
+            arrays = _render(pose, travel, folder, ids)
             if condition is not None:
                 drops = np.random.default_rng([job.seed, frame, 6])
                 arrays["rgb"] = precipitate(arrays["rgb"], job.camera, pose, condition, drops)
@@ -137,16 +137,13 @@ def _claim_stdout() -> TextIO:
 # --- the scene ---------------------------------------------------------------------------------
 
 
-def _build_scene(world: World, condition: Condition) -> GroundImages:
+def _build_scene(
+    world: World, condition: Condition, origin: tuple[float, float] = (0.0, 0.0)
+) -> GroundImages:
     """Add the world under a condition to an empty Blender file, and return its ground."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    if world.imagery is None:
-        covered = cover(world, condition)
-        albedo = ground.bake(world.ground, condition, world.seed, covered)
-        specular = ground.specular_map(world.ground, condition, world.seed, covered)
-    else:
-        albedo, specular = bake_albedo(world, condition), bake_specular(world, condition)
-    materials = build_materials(bpy.data, condition, albedo, specular, world.seed)
+    images = bake_ground(world, condition)
+    materials = build_materials(bpy.data, condition, *images, world.seed, origin)
     # Meshes come first, because adding a material to a mesh slows down with existing objects.
     grounds = {"terrain": ground_mesh(world, condition), "kerbs": kerbs_mesh(world)}
     surfaces = [
@@ -166,10 +163,10 @@ def _build_scene(world: World, condition: Condition) -> GroundImages:
         meshes.append(shared[item.shape])
     for surface in surfaces:
         _add(surface.name, surface)
-    for item, data in zip(world.objects, meshes, strict=True):
+    for number, (item, data) in enumerate(zip(world.objects, meshes, strict=True), 1):
         # Blender sorts objects by name; ascending names are fast to insert.
         placed = _add(f"{item.id:05d}", data)
-        placed.pass_index = item.id
+        placed.pass_index = number
         placed.location = item.centre
         placed.rotation_euler = (0.0, 0.0, item.yaw)
         placed.color = (*item.colour, float(item.driven))
@@ -177,8 +174,9 @@ def _build_scene(world: World, condition: Condition) -> GroundImages:
             placed.scale = item.size
         if item.class_name == "building":  # the origin of its mesh is at the ground
             placed.location.z -= 0.5 * item.size[2]
+            placed[RANDOM_KEY] = item.random_key
     add_light(bpy.data, bpy.context.scene, condition)
-    return GroundImages(albedo, specular)
+    return images
 
 
 def _thermal_camera(
@@ -335,11 +333,15 @@ def _set_up_render(job: RenderJob, threads: int) -> None:
 
 
 def _render(
-    cam_from_world: NDArray[np.float64], travel: NDArray[np.float64], folder: Path
+    cam_from_world: NDArray[np.float64],
+    travel: NDArray[np.float64],
+    folder: Path,
+    ids: NDArray[np.int64],
 ) -> dict[str, NDArray[Any]]:
     """Render rgb, depth, instance and normal of one frame.
 
-    The camera moves by ``travel`` (3,) metres while the frame is read out.
+    The camera moves by ``travel`` (3,) metres while the frame is read out. ``ids`` are the ids of
+    objects by their pass index.
     """
     scene = bpy.context.scene
     world_from_cam = np.linalg.inv(cam_from_world)
@@ -369,7 +371,7 @@ def _render(
     layers = {
         "rgb": np.asarray(Image.open(picture).convert("RGB")),
         "depth": depth.astype(np.float32),
-        "instance": np.rint(channels["IndexOB.X"]).astype(np.uint16),
+        "instance": find_ids(channels["IndexOB.X"], ids),
         "normal": np.rint(127 * normal).astype(np.int8),
     }
     if "IndexMA.X" in channels:

@@ -11,6 +11,7 @@ from objconnect.scene.geometry.geodesy import Geodetic
 from simulate.camera.pinhole import PinholeCamera
 from simulate.look.conditions import DEFAULT_ORIGIN
 from simulate.place.change import Change
+from simulate.render.window import Window
 
 Denoising = Literal["fast", "high"]
 """Quality of Open Image Denoise."""
@@ -42,6 +43,7 @@ class RenderJob(BaseModel):
       ``camera`` covers its view. None means that the photographs have the pinhole camera.
     - ``travel`` is the displacement of the camera in world metres while a frame is read out from
       top to bottom, by frame. The pose is that of the middle row.
+    - ``windows`` are the windows of a tiled place, which together have all frames. A chunk has one.
     - ``thermal`` adds the layer "thermal", the radiance (H, W) float32 between 8 and 14
       micrometres, W/(m2 sr), without noise.
     """
@@ -64,6 +66,7 @@ class RenderJob(BaseModel):
     poses: dict[int, list[list[float]]]
     travel: dict[int, tuple[float, float, float]] = {}
     thermal: bool = False
+    windows: tuple[Window, ...] = ()
 
     @field_validator("poses")
     @classmethod
@@ -72,6 +75,17 @@ class RenderJob(BaseModel):
             if [len(row) for row in rows] != [4, 4, 4, 4]:
                 raise ValueError(f"the pose of frame {frame} is not a 4 x 4 matrix")
         return poses
+
+    def by_window(self) -> list[RenderJob]:
+        """Return one job per window; this job alone if the place is not tiled."""
+        if not self.windows:
+            return [self]
+        jobs = []
+        for window in self.windows:
+            poses = {k: self.poses[k] for k in window.frames if k in self.poses}
+            if poses:
+                jobs.append(self.model_copy(update={"poses": poses, "windows": (window,)}))
+        return jobs
 
     @model_validator(mode="after")
     def _check_rolling_shutter(self) -> RenderJob:

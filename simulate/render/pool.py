@@ -81,7 +81,12 @@ def iterate_rendering(
     if threads is None:
         threads = 0 if processes == 1 else max(1, (os.cpu_count() or 1) // processes)
     size = min(FRAMES_PER_PROCESS, math.ceil(len(missing) / processes))
-    shares = deque(missing[k : k + size] for k in range(0, len(missing), size))
+    shares = deque(
+        part.model_copy(update={"poses": {i: part.poses[i] for i in frames[k : k + size]}})
+        for part in job.by_window()
+        if (frames := [i for i in sorted(part.poses) if i in missing])
+        for k in range(0, len(frames), size)
+    )
     with scratch(out_dir) as folder:
         rays = None
         if job.distorted_camera is not None:
@@ -89,10 +94,9 @@ def iterate_rendering(
             np.save(rays, _camera_rays(job.distorted_camera))
         numbers = count()
 
-        def start(share: list[int]) -> _BlenderProcess:
-            part = job.model_copy(update={"poses": {i: job.poses[i] for i in share}})
+        def start(share: RenderJob) -> _BlenderProcess:
             chunk = RenderChunk(
-                job=part,
+                job=share,
                 rays=rays,
                 out_dir=out_dir.resolve(),
                 threads=threads,
@@ -167,9 +171,9 @@ class _BlenderProcess:
 
 
 def _run(
-    shares: deque[list[int]],
+    shares: deque[RenderJob],
     processes: int,
-    start: Callable[[list[int]], _BlenderProcess],
+    start: Callable[[RenderJob], _BlenderProcess],
     out_dir: Path,
 ) -> Iterator[int]:
     """Run up to ``processes`` processes at once, one per share, and yield the finished frames.
@@ -180,7 +184,7 @@ def _run(
         RenderError: a process failed.
     """
     lines: queue.Queue[tuple[_BlenderProcess, str | None]] = queue.Queue()
-    running: dict[_BlenderProcess, list[int]] = {}
+    running: dict[_BlenderProcess, RenderJob] = {}
     try:
         while shares or running:
             while shares and len(running) < processes:
@@ -194,11 +198,11 @@ def _run(
                 continue
             child.check()
             share = running.pop(child)
-            left = [i for i in share if not frame_path(out_dir, i).exists()]
-            if len(left) == len(share):
+            left = {i: p for i, p in share.poses.items() if not frame_path(out_dir, i).exists()}
+            if len(left) == len(share.poses):
                 raise RenderError(f"the rendering process ended with {len(left)} frames missing")
             if left:
-                shares.append(left)
+                shares.append(share.model_copy(update={"poses": left}))
     finally:
         for child in running:
             child.stop()

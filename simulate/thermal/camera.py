@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cache
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from objconnect.scene.bundle.labels import CLASSES
 from objconnect.scene.geometry.geodesy import Geodetic
 from simulate.look.conditions import Condition
+from simulate.look.ground_images import GroundImages
 from simulate.look.textures import facade_material, panes
 from simulate.place.world import Facade, World
 from simulate.thermal.engines import Engines
@@ -39,18 +40,6 @@ _SNOW_EMISSIVITY: Final = 0.985
 _WET_EMISSIVITY: Final = 0.97
 _WATER_EMISSIVITY: Final = 0.985
 _OPEN_GROUND: Final = ("grass", "field", "path")  # classes that floods cover
-
-
-class GroundImages(NamedTuple):
-    """The baked images of the ground, row 0 in the south.
-
-    Attributes:
-        albedo: Albedo (n, n, 3) uint8 sRGB.
-        specular: Specular share (n, n) uint8 of 255, which is 255 for water.
-    """
-
-    albedo: NDArray[np.uint8]
-    specular: NDArray[np.uint8]
 
 
 class ThermalCamera:

@@ -45,7 +45,7 @@ class Engines:
         for item in world.objects:
             if item.class_name not in _ENGINES:
                 continue
-            hours = np.random.default_rng([world.seed, item.id, 7]).exponential(_PARKED_H)
+            hours = np.random.default_rng([world.seed, item.random_key, 7]).exponential(_PARKED_H)
             self._warmth[item.id] = 1.0 if item.driven else np.exp(-hours / _COOLING_H)
             turn = np.cos(item.yaw), np.sin(item.yaw)
             self._frame[item.id] = (*item.centre, *turn, item.size[0], item.size[2])

@@ -14,19 +14,21 @@ import numpy as np
 from mathutils import Vector
 
 from simulate.look.conditions import condition
-from simulate.place.presets import preset
 from simulate.render.blender import _build_scene
 from simulate.render.frame import pinhole_rays
 from simulate.render.job import RenderJob
 from simulate.render.pool import _camera_rays
+from simulate.render.rendered_world import build_world, numbered_ids
+from simulate.render.window import move_pose
 
 PIXELS = 1000
 
 
 def main(job_path: str, out: str) -> None:
     job = RenderJob.model_validate_json(Path(job_path).read_text())
-    place = preset(job.preset, job.site_path)(job.seed, job.side_m)
-    _build_scene(place, condition(job.condition))
+    world, origin = build_world(job)
+    _build_scene(world, condition(job.condition), origin)
+    ids = numbered_ids(world)
     graph = bpy.context.evaluated_depsgraph_get()
     rays = (
         pinhole_rays(job.camera)
@@ -38,7 +40,7 @@ def main(job_path: str, out: str) -> None:
     found = {name: np.zeros((len(job.poses), PIXELS)) for name in ("depth", "instance")}
     pixels = rng.integers(0, [width, height], (len(job.poses), PIXELS, 2))
     for f, rows in enumerate(job.poses.values()):
-        cam_from_world = np.array(rows)
+        cam_from_world = move_pose(np.array(rows), origin)
         rotation, centre = cam_from_world[:3, :3], np.linalg.inv(cam_from_world)[:3, 3]
         for k, (column, row) in enumerate(pixels[f]):
             ray = np.array([*rays[row, column], 1.0])
@@ -47,7 +49,7 @@ def main(job_path: str, out: str) -> None:
             )
             if hit:
                 found["depth"][f, k] = (rotation @ (np.array(at) - centre))[2]
-                found["instance"][f, k] = item.pass_index
+                found["instance"][f, k] = ids[item.pass_index]
     np.savez(out, columns=pixels[..., 0], rows=pixels[..., 1], **found)
 
 

@@ -1,0 +1,163 @@
+"""Tiled places: kilometres of one kind of place, of which only the tiles near a camera are built.
+
+A tile is bounded by roads, half of which it lays itself, so that it joins its neighbours without
+knowing them. Terrain is continuous across the borders. Objects lie in one tile each. Equal plans,
+seeds and sides give equal tiles, in any order and in any process.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from objconnect.scene.bundle.labels import CLASSES
+from objconnect.scene.errors import InputError
+from simulate.place.plan import MAX_SIDE_M, Plan
+from simulate.place.world import (
+    MAX_OBJECT_ID,
+    Ground,
+    Heightfield,
+    Kerb,
+    Marking,
+    Road,
+    World,
+    WorldObject,
+)
+
+Array = NDArray[np.float64]
+Index = tuple[int, int]
+
+MAX_TILED_SIDE_M: Final = 20_000.0
+_TILE_M: Final = 1000.0 / 3  # approximate side of a tile
+_CACHED_TILES: Final = 32  # a tile takes about 5 MB
+_KEYS: Final = 1 << 24  # renderers read keys as float32, which is exact below this number
+_ROAD_STEP_M: Final = 3.0  # distance between the points of a road
+
+
+def is_tiled(side_m: float) -> bool:
+    """Return whether a procedural place of a side in metres is tiled."""
+    return side_m > MAX_SIDE_M
+
+
+class TiledPlace:
+    """A square place of ``side_m`` metres, which consists of equal tiles of about 333 m.
+
+    Args:
+        plan: Plan of the tiles, with a single quarter.
+        seed: Seed of the place.
+        side_m: Side of the place, metres.
+
+    Raises:
+        InputError: The side is too large, or the plan has several quarters.
+    """
+
+    def __init__(self, plan: Plan, seed: int, side_m: float) -> None:
+        if not side_m <= MAX_TILED_SIDE_M:
+            raise InputError(f"area must be at most {MAX_TILED_SIDE_M:.0f} m, got {side_m:g}")
+        if len(plan.quarters) > 1:
+            raise InputError(
+                f"a place of several quarters cannot be tiled: choose an area of at most "
+                f"{MAX_SIDE_M:.0f} m, got {side_m:g}"
+            )
+        self.count = round(side_m / _TILE_M)
+        self.tile_m = side_m / self.count
+        self.seed, self.side_m = seed, side_m
+        self._plan = plan
+        self._relief = plan.draw_relief(seed, side_m)
+        self.tile: Callable[[Index], World] = lru_cache(_CACHED_TILES)(self._build)
+        """Returns the tile in a row, from the south, and column, in its own coordinates."""
+
+    def centre(self, index: Index) -> Array:
+        """Return the centre (2,) of a tile, metres."""
+        row, column = index
+        return self.tile_m * (np.array([column, row]) - 0.5 * (self.count - 1))
+
+    def index(self, points: ArrayLike) -> NDArray[np.int64]:
+        """Return the row and column (..., 2) of the tile under each point (..., 2), metres.
+
+        Points outside the place belong to the nearest tile.
+        """
+        cells = np.floor(np.asarray(points, float) / self.tile_m + 0.5 * self.count)
+        return np.asarray(np.clip(cells.astype(np.int64), 0, self.count - 1)[..., ::-1])
+
+    def land(self) -> World:
+        """Return the place without objects: coarse terrain, one texel of ground, border roads."""
+        half = 0.5 * self.side_m
+        along = np.linspace(-half, half, round(self.side_m / _ROAD_STEP_M) + 1)
+        lines = self.tile_m * (np.arange(1, self.count) - 0.5 * self.count)
+        width = self._plan.streets.widths_m[0]
+        roads = [
+            Road(np.stack([along, np.full_like(along, at)], -1)[:, order], width, main=False)
+            for order in ([0, 1], [1, 0])
+            for at in lines
+        ]
+        grass = np.full((1, 1), CLASSES["grass"], np.uint8)
+        ground = Ground(self.side_m, grass, np.full((1, 1), 128, np.uint8), ())
+        return World(self.seed, self.side_m, self._relief, tuple(roads), ground, ())
+
+    def assemble(self, first: Index, tiles: Sequence[Sequence[World]]) -> World:
+        """Join neighbouring tiles to a square place, whose origin is its centre.
+
+        Args:
+            first: Index of the tile in the south-west.
+            tiles: Rows of tiles from south to north. Their objects keep their ids.
+        """
+        count = len(tiles)
+        side_m = count * self.tile_m
+        objects: list[WorldObject] = []
+        kerbs: list[Kerb] = []
+        markings: list[Marking] = []
+        for row, each in enumerate(tiles):
+            for column, tile in enumerate(each):
+                shift = self.tile_m * (np.array([column, row]) - 0.5 * (count - 1))
+                objects += move(tile.objects, shift)
+                kerbs += [Kerb(k.front + shift, k.back + shift, k.rise) for k in tile.kerbs]
+                markings += [Marking(m.line + shift, m.width_m) for m in tile.ground.markings]
+        spacing_m = tiles[0][0].terrain.spacing_m
+        # Neighbours share the nodes on their border.
+        strips = [np.hstack([*(t.terrain.nodes[:, :-1] for t in r[:-1]), r[-1].terrain.nodes])
+                  for r in tiles]  # fmt: skip
+        nodes = np.vstack([*(strip[:-1] for strip in strips[:-1]), strips[-1]])
+        ground = Ground(
+            tiles[0][0].ground.texel_m,
+            np.block([[tile.ground.labels for tile in row] for row in tiles]),
+            np.block([[tile.ground.tone for tile in row] for row in tiles]),
+            tuple(markings),
+        )
+        return World(
+            seed=self.seed,
+            side_m=side_m,
+            terrain=Heightfield(nodes, spacing_m),
+            roads=(),
+            ground=ground,
+            objects=tuple(objects),
+            kerbs=tuple(kerbs),
+            tiles=tuple(map(tuple, tiles)),
+        )
+
+    def window_centre(self, first: Index, side: int) -> Array:
+        """Return the centre (2,), metres, of ``side`` x ``side`` tiles from a first index on."""
+        return self.centre(first) + 0.5 * (side - 1) * self.tile_m
+
+    def _build(self, index: Index) -> World:
+        x, y = self.centre(index).tolist()
+        tile = self._plan.build_tile(self.seed, self.tile_m, index, (x, y))
+        first = (1 + index[0] * self.count + index[1]) * (MAX_OBJECT_ID + 1)
+        objects = tuple(replace(o, key=(first + o.id) % _KEYS) for o in tile.objects)
+        return replace(tile, objects=objects, land_heights=self._relief.nodes.ravel())
+
+
+def move(objects: Iterable[WorldObject], shift: Array) -> list[WorldObject]:
+    """Return objects moved by a horizontal vector (2,), metres."""
+    vector = np.array([*shift, 0.0])
+    return [replace(item, centre=item.centre + vector) for item in objects]
+
+
+def renumber(world: World, offset: int) -> World:
+    """Return a world with ``offset`` added to the id of every object."""
+    return replace(world, objects=tuple(replace(o, id=o.id + offset) for o in world.objects))

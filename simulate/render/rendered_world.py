@@ -1,0 +1,52 @@
+"""Build the world that a render job shows."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.place.change import change_world
+from simulate.place.presets import PRESETS, preset
+from simulate.place.tiles import TiledPlace
+from simulate.place.world import World
+from simulate.render.job import RenderJob
+from simulate.render.window import MAX_SCENE_ID, build_window
+
+
+def build_world(job: RenderJob) -> tuple[World, tuple[float, float]]:
+    """Return the world of a job, and the position of its origin in the place, metres.
+
+    The job of a tiled place has one window, whose world this is; the poses of the job are relative
+    to the place.
+
+    Raises:
+        InputError: The place cannot be built.
+    """
+    if not job.windows:
+        base = preset(job.preset, job.site_path)(job.seed, job.side_m)
+        return change_world(base, job.change, job.first_new_id).world, (0.0, 0.0)
+    (window,) = job.windows
+    place = TiledPlace(PRESETS.load(job.preset), job.seed, job.side_m)
+    x, y = place.window_centre(window.first, window.side).tolist()
+    return build_window(place, window, job.change), (x, y)
+
+
+def find_ids(numbers: NDArray[np.float32], ids: NDArray[np.int64]) -> NDArray[np.uint16]:
+    """Return the ids (H, W) of the objects whose numbers (H, W) the renderer has written.
+
+    Raises:
+        ValueError: An object of a tile without ids is shown.
+    """
+    found = ids[np.rint(numbers).astype(np.int64)]
+    if found.max() > MAX_SCENE_ID:
+        raise ValueError("a photograph shows an object of a tile that was not expected in it")
+    return found.astype(np.uint16)
+
+
+def numbered_ids(world: World | None) -> NDArray[np.int64]:
+    """Return the ids (N + 1,) of the objects of a world by their number in it, from 1; 0 is none.
+
+    The renderer numbers objects, because it knows fewer numbers than a scene has ids.
+    """
+    items = () if world is None else world.objects
+    return np.array([0, *(item.id for item in items)], np.int64)

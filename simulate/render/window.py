@@ -1,0 +1,205 @@
+"""Windows of tiled places: the tiles that a frame needs, and the world that they make.
+
+A frame needs the tiles that it shows, and those whose objects may shade or light what it shows.
+Frames with the same window are rendered by the same processes, whose memory depends on the window
+and not on the place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+from objconnect.scene.errors import InputError
+from simulate.camera.pinhole import PinholeCamera
+from simulate.place.change import Change, change_world
+from simulate.place.tiles import Index, TiledPlace, renumber
+from simulate.place.world import MAX_OBJECT_ID, World
+from simulate.render.reach import REACH_M
+
+Array = NDArray[np.float64]
+
+MAX_VIEW_M: Final = 800.0
+"""Horizontal distance from the camera up to which the tiles of a view are found, metres."""
+_SIZES: Final = (3, 5)  # numbers of tiles a side that a window may have
+_TALL_M: Final = 60.0  # no object rises so high above the highest ground
+_OVERHANG_M: Final = 30.0  # no object is so wide that it shows farther outside of its tile
+_EDGE_RAYS: Final = 9  # number of rays along each side of a picture
+MAX_SCENE_ID: Final = (1 << 16) - 1
+"""Largest id of an object in the frames of a scene; ids in tiles that no frame shows are larger."""
+
+
+class TileIds(BaseModel):
+    """The ids of the objects of a tile in a scene.
+
+    Attributes:
+        offset: What is added to the tile's own ids.
+        first_new_id: First own id of objects that the session's change adds.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    offset: int
+    first_new_id: int
+
+
+class Window(BaseModel):
+    """A square of tiles, and the frames that are rendered in it.
+
+    Attributes:
+        first: Row and column of the tile in the south-west.
+        side: Number of tiles a side.
+        ids: Ids of the tiles, row by row; None for a tile that no frame of the scene shows.
+        frames: Numbers of the frames.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    first: Index
+    side: int
+    ids: tuple[TileIds | None, ...]
+    frames: tuple[int, ...]
+
+    def tiles(self) -> list[Index]:
+        """Return the indices of the tiles, row by row from the south-west."""
+        return square_of_tiles(self.first, self.side)
+
+
+class View(NamedTuple):
+    """The tiles that a frame needs.
+
+    Attributes:
+        first: Row and column of the tile in the south-west of its window.
+        side: Number of tiles a side of its window.
+        shown: Indices of the tiles whose objects it may show.
+    """
+
+    first: Index
+    side: int
+    shown: frozenset[Index]
+
+
+def square_of_tiles(first: Index, side: int) -> list[Index]:
+    """Return the indices of a square of tiles, row by row from the south-west."""
+    return [(first[0] + row, first[1] + column) for row in range(side) for column in range(side)]
+
+
+def find_view(
+    place: TiledPlace, camera: PinholeCamera, cam_from_world: Array, heights: tuple[float, float]
+) -> View:
+    """Return the tiles that a frame needs.
+
+    Tiles farther than ``MAX_VIEW_M`` from the camera are not needed. If a window of five tiles a
+    side does not hold all others, it lacks the farthest.
+
+    Args:
+        place: The tiled place.
+        camera: The pinhole camera.
+        cam_from_world: Pose (4, 4).
+        heights: The lowest and the highest ground of the place, metres.
+    """
+    low, high = _visible_box(camera, cam_from_world, heights)
+    first, last = place.index(low - REACH_M), place.index(high + REACH_M)
+    middle = place.index(0.5 * (low + high))
+    for side in _SIZES:
+        start = np.clip(middle - side // 2, 0, max(place.count - side, 0))
+        if (first >= start).all() and (last < start + side).all():
+            break
+    side = min(side, place.count)
+    shown = {
+        (row, column)
+        for row in _range(place, low, high, 0)
+        for column in _range(place, low, high, 1)
+    }
+    window = (int(start[0]), int(start[1]))
+    return View(window, side, frozenset(shown & set(square_of_tiles(window, side))))
+
+
+def _range(place: TiledPlace, low: Array, high: Array, axis: int) -> range:
+    """Return the rows (axis 0) or columns (axis 1) of the tiles that a view may show."""
+    first = place.index(low - _OVERHANG_M)[axis]
+    return range(int(first), int(place.index(high + _OVERHANG_M)[axis]) + 1)
+
+
+def _visible_box(
+    camera: PinholeCamera, cam_from_world: Array, heights: tuple[float, float]
+) -> tuple[Array, Array]:
+    """Return the south-west and north-east corners (2,) of what a frame may show, metres."""
+    edge = np.linspace(0, 1, _EDGE_RAYS)
+    zeros, ones = np.zeros_like(edge), np.ones_like(edge)
+    border = np.concatenate(
+        [np.stack(pair, -1) for pair in ((edge, zeros), (edge, ones), (zeros, edge), (ones, edge))]
+    )
+    pixels = border * [camera.width, camera.height]
+    local = np.column_stack([(pixels - [camera.cx, camera.cy]) / camera.f, np.ones(len(pixels))])
+    rays = local @ cam_from_world[:3, :3]
+    centre = -cam_from_world[:3, :3].T @ cam_from_world[:3, 3]
+    across = np.linalg.norm(rays[:, :2], axis=1)
+    farthest = MAX_VIEW_M / np.maximum(across, 1e-9)
+    points = []
+    for z in (heights[0], heights[1] + _TALL_M):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            length = (z - centre[2]) / rays[:, 2]
+        # A ray that leaves the layer of objects upwards, or starts below its top, has no such end.
+        length = np.where(length > 0, length, farthest if z == heights[0] else 0.0)
+        points.append(centre[:2] + np.minimum(length, farthest)[:, None] * rays[:, :2])
+    ends = np.concatenate(points)
+    return ends.min(0), ends.max(0)
+
+
+def group_views(views: Mapping[int, View], ids: Mapping[Index, TileIds]) -> tuple[Window, ...]:
+    """Return the windows of frames, in the order of their rows and columns.
+
+    Args:
+        views: The view of each frame, by its number.
+        ids: The ids of all tiles that a frame of the scene shows.
+    """
+    frames: dict[tuple[Index, int], list[int]] = {}
+    for frame, view in views.items():
+        frames.setdefault((view.first, view.side), []).append(frame)
+    return tuple(
+        Window(
+            first=first,
+            side=side,
+            ids=tuple(ids.get(index) for index in square_of_tiles(first, side)),
+            frames=tuple(sorted(numbers)),
+        )
+        for (first, side), numbers in sorted(frames.items())
+    )
+
+
+def build_window(place: TiledPlace, window: Window, change: Change) -> World:
+    """Return the world of a window after a change; its origin is the window's centre.
+
+    Objects have the ids of the scene. In tiles that no frame shows, ids begin above those.
+
+    Raises:
+        InputError: The window has more objects than a renderer can number.
+    """
+    tiles = []
+    hidden = MAX_SCENE_ID
+    for index, ids in zip(window.tiles(), window.ids, strict=True):
+        tile = place.tile(index)
+        changed = change_world(tile, change, 0 if ids is None else ids.first_new_id).world
+        tiles.append(renumber(changed, hidden if ids is None else ids.offset))
+        if ids is None:
+            hidden = max((item.id for item in tiles[-1].objects), default=hidden)
+    rows = [tiles[k : k + window.side] for k in range(0, len(tiles), window.side)]
+    world = place.assemble(window.first, rows)
+    if len(world.objects) > MAX_OBJECT_ID:
+        raise InputError(
+            f"a photograph needs {window.side} x {window.side} tiles with more than "
+            f"{MAX_OBJECT_ID} objects: fly lower or look down more steeply"
+        )
+    return world
+
+
+def move_pose(cam_from_world: Array, centre: tuple[float, float]) -> Array:
+    """Return a pose (4, 4) in the coordinates of a window with a centre (2,) in the place."""
+    pose = cam_from_world.copy()
+    pose[:3, 3] += pose[:3, :3] @ [*centre, 0.0]
+    return pose
