@@ -192,7 +192,8 @@ def _compare(before: Results, after: Results, name: str) -> Iterator[Comparison]
 def _figures(before: Results, after: Results) -> tuple[Mapping[str, _IsGood], ...]:
     """Return functions that test whether a query is good, by figure: recall, then integrity.
 
-    Figures for which the reference poses are too inexact, or whose prior is unknown, are left out.
+    A figure is left out if the reference poses are too inexact for it, or if it compares with the
+    priors and the baseline records none.
     """
     unjudged = {*before.dataset.unjudged, *after.dataset.unjudged}
     recall = {t.key: partial(is_correct, threshold=t) for t in THRESHOLDS if str(t) not in unjudged}

@@ -29,8 +29,9 @@ class LightGlueConfig(MatchingConfig):
         2.0,
         gt=0,
         le=8,
-        description="Factor by which images are resized before extraction. A keypoint is about as "
-        "exact as a pixel of the resized image.",
+        description="Factor by which images are resized before extraction; less where their longer "
+        "side would exceed 2048 pixels. A keypoint is about as exact as a pixel of the resized "
+        "image.",
     )
 
 

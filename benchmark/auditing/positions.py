@@ -1,7 +1,7 @@
 """Check of stated positions against the GPS positions in the photographs' EXIF.
 
-Poses in an arbitrary world are compared up to a similarity, whose scale shows whether the world
-is in metres. Positions on earth are compared directly.
+All positions are compared after a similarity alignment, whose scale shows whether the world is in
+metres. Positions on earth are also compared without it, which shows constant offsets.
 """
 
 from __future__ import annotations

@@ -148,7 +148,7 @@ def _abandon_output(code: int) -> int:
 
 
 def _describe(error: BaseException) -> str:
-    """Describe an exception of a library as a fault of the input."""
+    """Return the message of an exception other than ``InputError``."""
     if isinstance(error, OSError) and error.strerror:
         if error.errno == errno.ENOSPC and not error.filename:
             return "cannot write: the disk is full"

@@ -238,7 +238,7 @@ def basin(
 
     Each query is localized once for each size, from its reference pose shifted and rotated by
     exactly that much, in the same direction for every method. Refiners start from this pose; sift
-    matches the map photographs nearest to it.
+    matches map photographs near it.
     """
     from benchmark.evaluation.basin import DEFAULT_ERRORS, basin_path, parse_errors
     from benchmark.evaluation.basin import basin as run

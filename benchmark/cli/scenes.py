@@ -379,7 +379,7 @@ def audit(
     """Check the poses of any data set against its photographs, without ground truth.
 
     Reports for each property whether it is right, wrong (and what the fault looks like) or unknown
-    (and why): conventions of poses, focal length, principal point, names, times, scale,
+    (and why): conventions of poses, focal length, principal point, names and their order, scale,
     positions, heights, and the files themselves. The evidence is matches between photographs, their
     EXIF, and the map's points. Exits with 2 if something is wrong.
     """

@@ -203,8 +203,8 @@ def track(
     """Render and map the places of a leaderboard track, or check its flights.
 
     Prints one line per place: its digest, and whether the data set is the one behind the
-    leaderboard's results. Places with streets are also exported in the layout of Extended CMU
-    Seasons. An interrupted run goes on where it stopped, and finished places are not rendered
+    leaderboard's results. Places of the preset street are also exported in the layout of Extended
+    CMU Seasons. An interrupted run goes on where it stopped, and finished places are not rendered
     again.
     """
     from benchmark.tracks.command import track as run

@@ -2,8 +2,9 @@
 
 The reader takes the unchanged download, which differs from its README and from what public loaders
 expect: pose files hold the camera's centre, not a translation; the name of each image states its
-camera, c0 or c1; pose files may be empty; images are distorted, although an example calls them
-"rect"; the reference traversal is that of April 21, 2011, as its timestamps show.
+camera, c0 or c1; pose files may be empty; images are distorted, although an example of a name
+contains "rect" (rectified); the reference traversal is that of April 21, 2011, as its timestamps
+show.
 """
 
 from __future__ import annotations

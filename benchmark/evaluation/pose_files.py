@@ -44,7 +44,7 @@ _DIGEST_DIGITS: Final = 12
 
 
 class _Answer(NamedRecord):
-    """The line of a query in the file of poses; None if the method found no pose."""
+    """The line of a query in the file of poses; None without a pose of status ok."""
 
     line: str | None
 

@@ -32,8 +32,8 @@ _ONLY_PREPARE: Sequence[BenchmarkQuery] = ()
 ResultAndMemory = tuple[QueryResult, float | None]
 """The result of a query, and the peak memory of its process so far (1e6 bytes; None if unknown)."""
 StoreResult = Callable[[QueryResult], None]
-"""Stores the result of a query. Worker threads call it, so that no signal interrupts between
-localizing a query and storing its result."""
+"""Stores the result of a query. Without a cluster, worker threads call it, so that no signal
+interrupts between localizing a query and storing its result."""
 Unit = Sequence[BenchmarkQuery] | MapPart
 """Work for a worker of a cluster: queries to localize, or a part of the map to prepare."""
 LocalizeAll = Callable[[Sequence[BenchmarkQuery], StoreResult], Generator[float | None, None, None]]

@@ -2,9 +2,10 @@
 
 A twin is not the site, and rendered snow is not the next winter's snow, so that the share of views
 with a fix is not yet a probability. A small logistic model turns the evidence around a waypoint
-into one. Its parameters were fitted to training towns, whose true winters are known
-(``experiments.forecast``), and regularized towards the smoothed share itself, which is the
-probability for methods without a calibration.
+into one. Its parameters were fitted to training towns (``experiments.forecast``) and regularized
+towards the smoothed share itself, which is the probability for methods without a calibration. A
+training town is rendered twice: as its twin made from summer views, and as the town itself in its
+own seasons. The renders of the town itself are the true queries.
 """
 
 from __future__ import annotations
@@ -71,8 +72,8 @@ class Evidence(NamedTuple):
         false: weighted number of false fixes, (N,).
         inliers: weighted mean of log(1 + inliers), (N,).
         points: weighted mean of log(1 + points of the map in view), (N,).
-        sigma_across_m: predicted horizontal standard deviation of fixes within the map, geometric
-            mean, (N,); NaN where there is no fix.
+        sigma_across_m: predicted horizontal standard deviation of fixes relative to the map,
+            geometric mean, (N,); NaN where there is no fix.
         sigma_up_m: the vertical one.
     """
 

@@ -46,9 +46,10 @@ class Observation(NamedRecord):
         reason: why there is no pose.
         t_err_m: position error, metres; None without a pose.
         r_err_deg: rotation error, degrees; None without a pose.
-        sigma_across_m: predicted horizontal standard deviation within the map, metres; None if
+        sigma_across_m: predicted horizontal standard deviation relative to the map, metres; None if
             unknown.
-        sigma_up_m: predicted vertical standard deviation within the map, metres; None if unknown.
+        sigma_up_m: predicted vertical standard deviation relative to the map, metres; None if
+            unknown.
         h_err_m: horizontal error, metres; None without a pose.
         v_err_m: vertical error, metres; None without a pose.
         inliers: number of inliers of the estimate.

@@ -36,7 +36,7 @@ class Outlook(Record):
     Attributes:
         probability: probability of a fix.
         false_risk: probability of a false fix.
-        sigma_across_m: expected horizontal standard deviation of a fix within the map, metres;
+        sigma_across_m: expected horizontal standard deviation of a fix relative to the map, metres;
             None if no view of the waypoint or its neighbours had a fix.
         sigma_up_m: the vertical one.
         found: number of views of this waypoint with a fix.
@@ -83,7 +83,8 @@ class Stretch(Record):
     Attributes:
         first: number of the first waypoint, counted from 1.
         last: number of the last waypoint, counted from 1.
-        gap_m: distance between the likely fixes before and after the stretch.
+        gap_m: distance flown between the likely fixes before and after the stretch, metres. A
+            stretch at an end of the flight has one of them only: the gap reaches to that end.
         probability: mean probability of a fix at the waypoints.
         cause: the cause at most of the waypoints.
     """

@@ -92,16 +92,17 @@ def views_config(
 
 
 def route_of(render_config: SimulateConfig, folder: Path) -> Array:
-    """Return the waypoints (N, 3) of rendered views without wind, world metres.
+    """Return the waypoints (N, 3) of rendered views, which deviate from them, world metres.
 
     Args:
         render_config: configuration of the views.
         folder: scene of the views.
     """
     world, _ = base_place(render_config, folder)
-    calm = render_config.model_copy(update={"position_jitter_m": 0.0, "attitude_jitter_deg": 0.0})
-    session = _as_query(calm.sessions[0])
-    poses = plan_session(session, calm, calm.photo_camera(session), world, np.random.default_rng(0))
+    exact = render_config.model_copy(update={"position_jitter_m": 0.0, "attitude_jitter_deg": 0.0})
+    session = _as_query(exact.sessions[0])
+    camera = exact.photo_camera(session)
+    poses = plan_session(session, exact, camera, world, np.random.default_rng(0))
     return camera_centres(poses)
 
 

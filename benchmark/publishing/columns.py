@@ -51,7 +51,7 @@ COLUMNS: Final[Mapping[str, Column]] = {
         "z forward); exact in rendered scenes; null if it is sealed",
         (4, 4),
     ),
-    "time": Column("float", "seconds since 1970; null if unknown"),
+    "time": Column("float", "seconds since 1970; null if unknown or sealed"),
     "gps_prior": Column(
         "float", "camera centre measured by GNSS, world metres; null if not measured", (3,)
     ),
@@ -64,8 +64,8 @@ COLUMNS: Final[Mapping[str, Column]] = {
     "attitude_sigma_deg": Column("float", "standard deviation of attitude_prior, degrees"),
     "overlap": Column(
         "float",
-        "of a query: share of its pixels whose surface the best map photograph sees too; null if "
-        "not measured",
+        "of a query: share of its pixels whose surface its best map photograph, the one that sees "
+        "most of it, sees too; null if not measured",
     ),
     "scale": Column(
         "float",

@@ -33,7 +33,7 @@ _MEASURED: Final = ("time", "gps_prior", "gps_sigma", "attitude_prior", "attitud
 
 @dataclass(frozen=True)
 class FrameRow:
-    """The position of a photograph in its scene.
+    """The place of a photograph in the lists of its scene.
 
     Attributes:
         name: name of the photograph.

@@ -66,7 +66,6 @@ class Source:
     def difficulty(self) -> dict[str, Difficulty]:
         """Return the difficulty of each query by name.
 
-
         It is empty for a flight, for a sealed scene, and for one without depth or covisibility.
         """
         scene = self.rows.scene

@@ -1,7 +1,8 @@
 """Scores on published data sets, as the hub's leaderboards read them.
 
 The hub reads ``.eval_results/*.yaml`` of a model repository: a list of scores, each with the data
-set's repository, task and commit (https://huggingface.co/docs/hub/eval-results).
+set's repository, task and commit (https://huggingface.co/docs/hub/eval-results). The task is the
+start of the results, such as ``none``, because methods are compared only from one start.
 """
 
 from __future__ import annotations

@@ -93,9 +93,9 @@ def conditions(queries: Sequence[BoardQuery]) -> tuple[str, ...]:
 def recall_at_risk(outcomes: Sequence[PredictedOutcome], threshold: Threshold) -> Interval | None:
     """Return the recall of the most certain answers, of which fewer than 1 % are wrong.
 
-    Answers are accepted in the order of ``uncertainty.doubt``, as long as the share of wrong poses
-    among them is below ``RISK``. Ties are accepted together. An answer without a probability and a
-    standard deviation is never accepted.
+    Answers are ranked by ``uncertainty.doubt``. The longest beginning of this ranking is accepted
+    whose share of wrong poses is below ``RISK``; ties are accepted together. An answer that has
+    neither a probability nor a standard deviation is never accepted.
 
     Returns:
         The share of all queries that are accepted and correct, in percent; None if no answer has a

@@ -26,9 +26,9 @@ class Axis:
         short: its name in a word or two.
         column: heading of a column of its values.
         title: description of the difficulty in one phrase.
-        unit: its unit.
-        edges: edges of the bins. A bin holds its lower edge and not its upper one; the last holds
-            both.
+        unit: unit of the labels.
+        edges: edges of the bins, in the unit of the attribute; overlap is a share of 1, not in %. A
+            bin holds its lower edge and not its upper one; the last holds both.
         labels: name of each bin.
     """
 
