@@ -182,7 +182,7 @@ def saturation(table: Table) -> str | None:
             notes.append(
                 f"Saturated: under `{_code(condition)}`, the map's own condition, `{_REFERENCE}` "
                 f"already reaches {_SATURATED:g} % or more at {', '.join(saturated)}; another "
-                "method can at most equal it there."
+                "method can hardly exceed it there."
             )
     return "\n".join(notes) or None
 

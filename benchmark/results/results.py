@@ -53,8 +53,8 @@ class Results(Record):
         schema_version: version of the file format.
         method: method that was run.
         dataset: data set that it was run on.
-        start: name of the starting information, see ``evaluation.starts``; "prior" if at least one
-            query has a prior.
+        start: name of the starting information, see ``evaluation.starts``; a run from "prior" is
+            recorded as "none" if no query has a prior.
         environment: versions of the packages.
         summary: figures of all queries.
         by_condition: figures of the queries of each condition.

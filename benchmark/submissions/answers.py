@@ -72,7 +72,7 @@ class AnswersReport:
 
 
 def open_tasks(path: Path) -> list[Task]:
-    """Open the data sets of a path, and those whose query poses are sealed.
+    """Open the data sets of a path; the poses of their queries may be sealed.
 
     Raises:
         InputError: for the reasons of ``open_datasets`` and ``open_sealed``.

@@ -30,7 +30,7 @@ SUBMISSIONS: Final = "submissions"
 CARD: Final = "card.yaml"
 _POSES: Final = "poses"
 _SUFFIX: Final = ".txt"
-# Decimals of poses that count as the same.
+# Poses that are equal to this many decimals count as the same.
 _DIGEST_DECIMALS: Final = 5
 # Largest number of bytes of a card, of a line of a pose file, and of the comments of a pose file.
 _CARD_BYTES: Final = 1 << 16

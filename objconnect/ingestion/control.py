@@ -43,7 +43,7 @@ class ControlResidual(BaseModel):
     Attributes:
         name: name in the list.
         role: "used" in the adjustment; a "check" point; "wrong", which contradicts the others and
-            is not used; "unseen", with fewer than two marks in photographs of the scene.
+            is not used; "unseen", with fewer than two marks, or marks whose rays do not meet.
         marks: number of marks in photographs of the scene.
         off: triangulated minus surveyed position, metres east, north and up.
         mark_px: root mean square reprojection error of the marks, pixels.

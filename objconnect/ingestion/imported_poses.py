@@ -155,8 +155,8 @@ def compare_with_fixes(model: SparseMap, fixes: Mapping[str, Array]) -> Georegis
     names = [name for name in model.names if name in fixes]
     residuals = np.array([fixes[n] - model.images[n].centre for n in names]).reshape(-1, 3)
     distance = np.linalg.norm(np.nan_to_num(residuals), axis=1)
-    usual_m = SIGMA_OF_MEDIAN * float(np.median(distance)) if names else 0.0
-    good = distance <= max(BLUNDER_SIGMAS * usual_m, USUAL_ERROR_M)
+    scatter_m = SIGMA_OF_MEDIAN * float(np.median(distance)) if names else 0.0
+    good = distance <= max(BLUNDER_SIGMAS * scatter_m, USUAL_ERROR_M)
     sigma = rms_of(residuals[good]) if good.any() else np.full(3, MIN_SIGMA_M)
     blunders = tuple(name for name, ok in zip(names, good, strict=True) if not ok)
     return Georegistration(_IDENTITY, "given", blunders, np.maximum(sigma, MIN_SIGMA_M))

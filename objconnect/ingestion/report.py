@@ -116,7 +116,7 @@ class IngestReport(BaseModel):
         """Return the report as text."""
         up = {
             "gps": "vertical from GPS",
-            "ground": "vertical from the ground, because GPS altitudes are not usable",
+            "ground": "vertical from the ground (GPS altitudes unusable, or a straight flight)",
             "given": "poses as imported",
             "control": "vertical from ground control points",
             "map": "world of the existing scene",
@@ -232,7 +232,7 @@ def _describe_origin(first: Photograph, camera: Camera, refined: bool) -> str:
         )
     if refined:
         return f"focal length {start:.1f} px of EXIF refined to {focal:.1f} px{principal}"
-    reason = "the ground is too flat to refine it"
+    reason = "it is not refined over flat ground or in an existing map"
     return f"focal length {focal:.1f} px of EXIF kept: {reason}{principal}"
 
 

@@ -119,7 +119,7 @@ def make_scene(
         record: The inputs and options.
         build: Writes everything of the scene but its manifest.
         owned: Files that ``build`` may write, for ``remove_owned``.
-        manifest: The manifest without digests and georeference, which the report adds.
+        manifest: The manifest without digests, and without georeference, which ``build`` reports.
 
     Raises:
         InputError: The folder holds something else, or for the reasons of ``build``.

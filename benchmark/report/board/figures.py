@@ -162,13 +162,13 @@ def _curves(
         yield bin_recall(bins, correct[rows], board.courses[rows].tolist(), len(axis.labels))
 
 
-def _bin(thresholds: Sequence[Bin], judged: Sequence[bool]) -> list[Any]:
-    """Return the number of queries of a bin, then its recall at each judged threshold, or None."""
+def _bin(by_threshold: Sequence[Bin], judged: Sequence[bool]) -> list[Any]:
+    """Return a bin's number of queries, then its recall at each threshold; None if unjudged."""
     recalls = [
         found.recall if is_judged else None
-        for found, is_judged in zip(thresholds, judged, strict=True)
+        for found, is_judged in zip(by_threshold, judged, strict=True)
     ]
-    return [thresholds[0].queries, *(None if r is None else _interval(r) for r in recalls)]
+    return [by_threshold[0].queries, *(None if r is None else _interval(r) for r in recalls)]
 
 
 def _pairs(

@@ -46,8 +46,8 @@ class BoardQuery:
         dataset: name of its data set.
         row: its row in the track's list of queries.
         course: course that it was flown on, see ``benchmark.tracks.courses``.
-        same: whether its condition in the results is a condition of the map. Sessions of a track in
-            which something moved are under other conditions.
+        same: whether its condition in the results is a condition of the map. Nothing moved in these
+            queries: a track flies sessions in which something moved under other conditions.
         novelty: "seen", or one of ``UNSEEN`` if its track holds its condition or its preset out of
             training; None if the track holds out nothing.
     """
@@ -203,7 +203,7 @@ def read_board(name: str, tracks_folder: Path) -> TrackBoard:
 
 def _missing(track: Track, paths: Mapping[_Key, Path | None]) -> Iterator[str]:
     """Yield a sentence for the places that were not rendered yet, and one for each start and method
-    that lacks results of another data set."""
+    that lacks results of a rendered place."""
     has_results = {dataset for (_, dataset, _), path in paths.items() if path is not None}
     known = [p for p in track.places if p.renders or p.dataset in has_results]
     if later := [place.dataset for place in track.places if place not in known]:

@@ -92,8 +92,8 @@ def board_markdown(boards: Sequence[TrackBoard], rows: Sequence[Sequence[Headlin
         "Recall is the percentage of all listed queries whose pose is closer than both thresholds, "
         f"with its 95 % interval; {BY_COURSE} Failed queries and fallback poses count as wrong. "
         f"{INTEGRITY} Surest: "
-        "answers are accepted in the order of their predicted probability (without one: of their "
-        f"sigma) while fewer than {RISK:.0%} of the accepted answers are wrong at 0.5 m 5°; "
+        "answers are sorted by predicted probability (without one: by sigma), and as many of the "
+        f"first as possible are accepted, with fewer than {RISK:.0%} wrong at 0.5 m 5°; "
         "the column is the share of all queries that are accepted and right. Where a method has "
         "results of fewer queries than its cell (48 of 72), do not compare it with the others.",
     ]
