@@ -86,7 +86,7 @@ def _rotate_to_headings(pose: Pose, headings: int) -> list[Pose]:
 
 
 def source_of_initial_poses(prior: Prior | None) -> PoseSource:
-    """Return the source of the position in ``starts``: the prior or reference images."""
+    """Return the source of the positions of ``list_initial_poses``: prior or reference images."""
     return PoseSource.PRIOR if prior is not None and prior.has_position else PoseSource.RETRIEVAL
 
 

@@ -83,7 +83,8 @@ def survey_rasters(
         heights: surface model.
         undulation: height of the geoid above the ellipsoid, metres.
         options: altitude and size of the views.
-        origin: origin of the world; None for the middle of the orthophoto, on the ground.
+        origin: origin of the world; None for the middle of the orthophoto, at the mean height of
+            the surface model.
 
     Raises:
         InputError: a raster is damaged, there is no height, or the rasters do not overlap.

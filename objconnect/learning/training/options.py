@@ -68,7 +68,8 @@ class LossOptions(Config):
     feature_share: float = Field(
         0.1,
         ge=0,
-        description="Weight of the distance of features, equation (7), in objconnect.",
+        description="Weight of the distance of features, equation (7) of the object-connect paper; "
+        "used by the method objconnect alone.",
     )
 
 

@@ -99,8 +99,8 @@ class PoseUncertainty:
         patches: (B,) number of patches of the image with points in view.
         view_cosine: (B,) mean cosine of the angle between the directions in which the query and the
             reference images see the points in view; 1 if the reference images are unknown.
-        informative_cost: (B,) mean cost of the points, weighted by their information on the pose,
-            as a share of their mean cost; 1 where the points do not determine a pose.
+        informative_cost_ratio: (B,) mean cost of the points, weighted by their information on the
+            pose, as a share of their mean cost; 1 where the points do not determine a pose.
         scatter_level: (B,) mean over six directions of the scatter of the patches' gradients, as a
             share of the Gauss-Newton Hessian; 0 where the points do not determine a pose.
         effective_patches: (B,) effective number of patches for ``scatter_level``.
@@ -111,7 +111,7 @@ class PoseUncertainty:
     depth: Tensor
     patches: Tensor
     view_cosine: Tensor
-    informative_cost: Tensor
+    informative_cost_ratio: Tensor
     scatter_level: Tensor
     effective_patches: Tensor
 
@@ -120,9 +120,9 @@ def measure_uncertainty(problem: Problem, aligned: Pose) -> PoseUncertainty:
     """Compute the covariances of poses (B) aligned on the finest level of a problem.
 
     If a query differs from the map, as in snow, the Gauss-Newton Hessian is too large, because it
-    includes the slopes of things in the query that the map does not have. Therefore the second
-    derivatives of the cost are measured by differences of gradients, along the axes in which that
-    Hessian is the identity. They replace the Hessian where they are smaller.
+    includes the slopes of the features of things in the query that the map does not have.
+    Therefore the second derivatives of the cost are measured by differences of gradients, along the
+    axes in which that Hessian is the identity. They replace the Hessian where they are smaller.
 
     Args:
         problem: the alignment problem.
@@ -160,16 +160,16 @@ def measure_uncertainty(problem: Problem, aligned: Pose) -> PoseUncertainty:
         depth.nanmedian(-1).values.nan_to_num(),
         patches,
         _view_cosine(problem, aligned, linearisation.seen),
-        torch.where(determined, _informative_cost(cost, local.start, linearisation, axes), 1),
+        torch.where(determined, _informative_cost_ratio(cost, local.start, linearisation, axes), 1),
         torch.where(determined, scatter_level, 0),
         torch.where(determined, _effective_patches(grids, axes), 0),
     )
 
 
-def _informative_cost(
+def _informative_cost_ratio(
     cost: LevelCost, pose: Pose, linearisation: Linearisation, axes: Tensor
 ) -> Tensor:
-    """Return ``PoseUncertainty.informative_cost`` (B,), weighted by parts of the Hessian.
+    """Return ``PoseUncertainty.informative_cost_ratio`` (B,), weighted by parts of the Hessian.
 
     Args:
         cost: cost of the finest level.

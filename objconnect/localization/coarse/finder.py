@@ -169,8 +169,9 @@ def hypotheses(
 ) -> Hypotheses:
     """Return the headings, altitudes, tilts and region to search for a prior.
 
-    Tilt and roll of the prior are kept. The heading, altitude and position are searched around the
-    prior within a number of standard deviations, or everywhere if they are unknown.
+    Tilt and roll of the prior are kept. The heading and position are searched around the prior
+    within a number of standard deviations, or everywhere if they are unknown. The altitude is the
+    prior's if its standard deviation is small; else all ``ALTITUDE_RATIOS`` are searched.
 
     Args:
         prior: prior of the query.

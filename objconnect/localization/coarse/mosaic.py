@@ -113,8 +113,8 @@ def make_mosaic(
         sparse_map: the map.
         grid: the cells of the ground.
         channels: maximum number K of principal components.
-        extract: warps a photograph north up to the map's resolution and computes the features of
-            the coarsest level.
+        extract: warps a photograph north up, resizes it to the same resolution as all others, and
+            computes the features of the coarsest level.
         advance: called with the number of photographs done.
 
     Raises:

@@ -173,7 +173,7 @@ class MosaicSearch:
 
     @torch.inference_mode()
     def peaks(self, query: QueryView, hypotheses: Hypotheses) -> Iterator[Peak]:
-        """Yield the peaks of one pass of the network."""
+        """Yield the peaks of one view of the query, for each tilt and altitude."""
         turns = torch.tensor(hypotheses.turns, dtype=torch.float64)
         for tilt in hypotheses.tilts:
             rotations = tilt @ query.rotation @ so3_exp(turns[:, None] * UP)

@@ -53,7 +53,7 @@ class TiltedSearch:
         return [self._fine.candidate(peak) for peak in self._fine.select(refined, count)]
 
     def _refine(self, query: QueryView, peaks: Sequence[Peak]) -> Iterator[Peak]:
-        """Yield the peaks of one pass of the network, refined."""
+        """Yield the peaks of one view of the query, refined on the mosaic's own cells."""
         if not peaks:
             return
         scorer = ViewScorer(self._mosaic, query.view, query.level)

@@ -42,8 +42,8 @@ _WINDOW_STEP_PX: Final = 1.5
 BORDER_PX: Final = 8.0
 """Width of the edge of a photograph that is not compared, because lens models are least exact
 there."""
-# Least margin of the best correlation over that at any other depth, and least number of steps by
-# which another depth differs from the best.
+# Least margin of the best correlation over that at any other depth. Depths at most this many steps
+# from the best do not count as other depths.
 _RIVAL_MARGIN: Final = 0.05
 _RIVAL_STEPS: Final = 2
 # Least shorter side of a downscaled photograph, pixels.

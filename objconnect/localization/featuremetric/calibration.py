@@ -57,8 +57,9 @@ class CovarianceModel(CalibrationFile):
     )
     changed_fit: float = Field(
         gt=0,
-        description="Relative excess of the fit over unchanged_fit and view_fit at which the "
-        "whole floor is added; below, the added variance grows in proportion.",
+        description="Relative excess of the fit over that of an unchanged query, by unchanged_fit "
+        "and view_fit, at which the whole floor is added; below, the added variance grows in "
+        "proportion.",
     )
 
 
@@ -76,11 +77,13 @@ def compute_scales(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the factors (B,) on measured covariances, and the variances (B, 6) to add.
 
-    ``ratio`` is the information-weighted fit of the points, divided by the fit of a query in the
-    light and season of the map. The divisor grows with the angle between the directions in which
-    the query and the map's photographs see the points. The measured covariance is multiplied by
+    ``ratio`` is the information-weighted fit of a query, ``fit * informative_cost_ratio``, divided
+    by the fit of a query in the light and season of the map. The divisor grows with the angle
+    between the directions in which the query and the map's photographs see the points. The measured
+    covariance is multiplied by
 
-    - ``factor`` and ``ratio``: the slopes of a changed query differ from the map's;
+    - ``factor`` and ``ratio``: it is too small for a changed query, whose features have other
+      slopes than the map's;
     - ``(100 / patches)**patches_power``: clustered estimates from few clusters are too small
       (Cameron and Miller, Journal of Human Resources 2015);
     - a factor that shrinks the scatter of the patches towards ``level``, as the posterior mean of a
@@ -103,10 +106,11 @@ def compute_scales(
     patches, scatter_level, effective_patches = _arrays(
         uncertainty.patches, uncertainty.scatter_level, uncertainty.effective_patches
     )
-    depth, view_cosine, cost = _arrays(
-        uncertainty.depth, uncertainty.view_cosine, uncertainty.informative_cost
+    depth, view_cosine, cost_ratio = _arrays(
+        uncertainty.depth, uncertainty.view_cosine, uncertainty.informative_cost_ratio
     )
-    ratio = fit * cost / (model.unchanged_fit + model.view_fit * (1 - view_cosine))
+    weighted_fit = fit * cost_ratio
+    ratio = weighted_fit / (model.unchanged_fit + model.view_fit * (1 - view_cosine))
     factor = model.factor * ratio * (patches / 100) ** -model.patches_power
     known = scatter_level > 0
     prior_share = np.where(known, model.level / np.where(known, scatter_level, 1.0), 1.0)

@@ -80,8 +80,8 @@ class GlobalSearch:
     Attributes:
         refine: refines a start.
         sparse_map: the map.
-        coarse: the coarse search; if None, only matches and ``extra_finder`` give candidates, and
-            the localizer starts from similar photographs if no candidate gives a probable pose.
+        coarse: the coarse search; if None, only matches and the two other finders give candidates,
+            and the localizer starts from similar photographs if no candidate gives a probable pose.
         extra_finder: finds candidates in addition to the coarse search; None for none.
         matched_finder: finds candidates if no other gives a probable pose; None for none.
     """
@@ -203,7 +203,7 @@ class GlobalSearch:
         yield candidates
 
     def _find_candidates(self, query: Query, clock: Stopwatch) -> Iterator[list[Candidate]]:
-        """Yield the candidates of the coarse search, tilt by tilt.
+        """Yield the candidates of the coarse search, list by list (``CoarseSearch.find``).
 
         If it finds none and the prior has no position, the poses of similar map photographs are
         yielded instead. If the coarse search is switched off, nothing is yielded.

@@ -183,7 +183,8 @@ class FeaturemetricConfig(NetworkOptions):
     )
     most_tilt_deg: ClassVar[float | None] = None
     """An image whose tilt exceeds the median tilt of its reference images by more than this angle
-    (degrees) is warped to a tilt that exceeds it by exactly this angle. None warps no image."""
+    (degrees) is warped to a tilt that exceeds it by this angle. The warp rotates the optical axis
+    by at most 45 degrees. None warps no image."""
     same_place_m: ClassVar[float | None] = None
     """Without any prior, reference images farther apart than this (metres) are separate starts
     though they share a heading; None for never."""

@@ -18,7 +18,8 @@ DEFAULT_RADIUS: Final = SearchRadius(8.0, 10.0)
 _LARGEST_RADIUS: Final = SearchRadius(40.0, 30.0)
 # Search radius in standard deviations of a prior.
 _PRIOR_SIGMAS: Final = 2.0
-# Distance from a prior's position, in standard deviations, within which candidates are accepted.
+# Candidates are accepted within this many standard deviations of a prior's position, plus the
+# metres of ``DEFAULT_RADIUS``.
 _CANDIDATE_SIGMAS: Final = 3.0
 
 

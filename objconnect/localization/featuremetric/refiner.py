@@ -43,7 +43,8 @@ class Refiner:
         extract: computes feature maps.
         problems: builds alignment problems.
         retrieval: finds reference images.
-        matches: finds reference images by SIFT; None if the map was not built from SIFT.
+        matches: finds reference images by SIFT; None without ``config.matches``, or if the map was
+            not built from SIFT.
         trim_above_bytes: resident memory above which the heap is trimmed before a pass of the
             network. Trimming costs time.
         trim_above_magnified_bytes: the same before a pass on a magnified image.

@@ -42,7 +42,8 @@ class Extractor(ABC):
         name: name of the kind of feature, and of its cache files.
         options: all settings that change the features, as text.
         rotation_invariant: whether features are invariant to rotation and scale. If not, they are
-            extracted from pictures that are rotated north up and resized to the map's resolution.
+            extracted from pictures that are rotated north up, and queries are resized to the map's
+            resolution too.
         tilt_invariant: whether features are matched across tilts. If not, reference images of
             similar tilt come first where the query's attitude is known.
         headings: number of evenly spaced headings that are tried where the heading is unknown; 0

@@ -29,7 +29,9 @@ Rows = NDArray[np.int64]
 QueryDescriptors = NDArray[np.float32] | Sequence[NDArray[np.float32]]
 """Unit descriptors (n, D) of a query, or one such array for each rotation of its picture."""
 
-NO_REFERENCE: Final = "no reference image: the map has no photograph, or the query names none"
+NO_REFERENCE: Final = (
+    "no reference image: the map has no photograph, or the query's list of references is empty"
+)
 """Reason of the failure of a query without a reference image."""
 # Number of visual words of the VLAD.
 _WORDS: Final = 64
@@ -269,10 +271,11 @@ class References:
     ) -> NDArray[np.int64]:
         """Return the rows of reference images in ``names``, best first.
 
-        They are the images that the query names. If it names none, they are the ``k`` photographs
-        nearest to its prior, and without a prior position the ``k`` most similar photographs. If
-        more than ``k`` photographs lie within two standard deviations of the prior, they are the
-        most similar of these, because the nearest are no better than the others.
+        They are the images in the query's list, also if that is empty. Without a list (None), they
+        are the ``k`` photographs nearest to its prior, and without a prior position the ``k`` most
+        similar photographs. If more than ``k`` photographs lie within two standard deviations of
+        the prior, they are the most similar of these, because the nearest are no better than the
+        others.
 
         Args:
             query: the query.

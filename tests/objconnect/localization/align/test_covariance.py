@@ -279,7 +279,7 @@ def test_informative_cost_is_that_of_the_points_that_tell_the_pose() -> None:
         assert float(shares.sum()) == pytest.approx(1, abs=1e-4)
         expected = (shares * around.cost).sum() / around.mean_cost()
         assert abs(float(expected) - 1) > 0.01
-        assert float(measure_uncertainty(problem, pose).informative_cost) == pytest.approx(
+        assert float(measure_uncertainty(problem, pose).informative_cost_ratio) == pytest.approx(
             float(expected), 1e-4
         )
 

@@ -39,7 +39,7 @@ def attempt(
     fit: float,
     patches: float = 100,
     view_cosine: float = 1.0,
-    informative_cost: float = 1.0,
+    informative_cost_ratio: float = 1.0,
     level: float = 4e-4,
 ) -> Attempt:
     """An attempt of which the alignment measured the same variance along each axis."""
@@ -54,7 +54,7 @@ def attempt(
         DEPTH * one,
         patches * one,
         view_cosine * one,
-        informative_cost * one,
+        informative_cost_ratio * one,
         level * one,
         EQUAL * one,
     )
@@ -104,7 +104,7 @@ def test_a_worse_fit_of_another_view_is_no_change_of_season() -> None:
 
 
 def test_the_fit_that_counts_is_that_of_the_points_that_tell_the_pose() -> None:
-    tried = attempt(1e-4, 0.9, informative_cost=0.5)
+    tried = attempt(1e-4, 0.9, informative_cost_ratio=0.5)
     np.testing.assert_allclose(variances(tried), variances(attempt(1e-4, 0.45)))
 
 
