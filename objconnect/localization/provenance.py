@@ -18,7 +18,7 @@ class Method(Record):
     """A method; ``config`` holds the effective value of every option that changes its result.
 
     ``objects`` states which objects a method uses: "none", or "learned" with the file of their
-    weights and its digest; None for a method that has no objects.
+    weights and its digest; None for a method that cannot use objects.
     """
 
     name: str

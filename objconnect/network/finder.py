@@ -107,13 +107,13 @@ def allowed_poses(
     tilts_deg: Sequence[float] = TILTS_DEG,
     headings: int = _HEADINGS,
 ) -> tuple[list[Tensor], Bounds]:
-    """Return the attitudes at a heading of 0 to try, and the headings, heights and region.
+    """Return the attitudes to try, and the turns from their heading, heights and region to allow.
 
     Args:
         prior: prior of the query.
         heights: heights of the map's photographs above the ground, metres.
         tilts_deg: tilts of the camera that are tried without an attitude, degrees.
-        headings: number of headings on the full circle.
+        headings: number of turns on the full circle.
     """
     base, turns = possible_headings(prior, headings)
     bounds = Bounds(

@@ -1,4 +1,4 @@
-"""The landmarks of a map: objects that several photographs show, with vectors and sizes.
+"""The landmarks of a map: objects that its photographs show, with vectors and sizes.
 
 A photograph gives the ray to an object's centre, and the height of the centre above the ground. The
 heights of the ground come from the map's points. Near and similar objects of several photographs
@@ -42,7 +42,7 @@ _LEAST_COSINE: Final = 0.4
 # Maximum number of objects, of all photographs, that are compared with the best one of a landmark.
 _NEAREST: Final = 64
 # A landmark must be detected in at least this number, and this share, of the photographs that have
-# it in view.
+# it in view, unless only one has.
 _LEAST_VIEWS: Final = 2
 _LEAST_SHARE: Final = 0.3
 
@@ -91,7 +91,7 @@ class Landmarks:
         return Landmarks(*(getattr(self, name)[rows] for name in self.ARRAYS))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the landmarks by the names of ``ARRAYS``; all but centres in half precision."""
+        """Return the landmarks by the names of ``ARRAYS``; float32 becomes half precision."""
         found = ((name, getattr(self, name)) for name in self.ARRAYS)
         return {name: v.astype(np.float16) if v.dtype == np.float32 else v for name, v in found}
 

@@ -310,7 +310,7 @@ def start_from(path: Path, settings: Mapping[str, Any]) -> ObjConnectNet:
         settings: fields of ``ObjConnectNetConfig`` that replace the file's.
 
     Raises:
-        InputError: the file does not exist, or none of its weights fit.
+        InputError: the file does not exist, or its weights do not fit the settings.
     """
     weights = read_weights(path)
     tensors, config = weights.tensors, weights.config

@@ -93,9 +93,9 @@ class ObjectMatcher:
         Args:
             found: objects of the photograph.
             camera: camera of the photograph.
-            attitudes: ``cam_from_world`` rotations (3, 3) to try, each at a heading of 0.
-            bounds: headings (counter-clockwise rotations about the vertical), heights above the
-                ground and positions to allow.
+            attitudes: ``cam_from_world`` rotations (3, 3) to try, each with all headings allowed.
+            bounds: headings (clockwise turns of the camera from an attitude, seen from above),
+                heights above the ground and positions to allow.
         """
         if self._pairs is None:
             return []

@@ -29,7 +29,7 @@ _TILE: Final = 800
 # Maximum number of partners of an object, and of matched pairs of all objects, which bounds time.
 _PARTNERS: Final = 6
 _MOST_PAIRS: Final = 1_000_000
-# Least distance of two partners, heights of the camera: nearer ones give no exact heading.
+# Least distance of two partners, in heights of the camera: nearer ones give no exact heading.
 _LEAST_BASE: Final = 0.12
 # Largest difference of the logarithms of the height from a pair and that from the objects' sizes.
 _SIZE_TOLERANCE: Final = 0.35
@@ -189,7 +189,8 @@ class PairSearch:
         for rows in likeness.rows:
             first, second = self._positions[rows[one]], self._positions[rows[other]]
             turn = (second[:, None, :] - first[:, :, None]) / base
-            # The height at which an object has the size of a landmark, for each match.
+            # Half the logarithm of the height at which an object has the size of a landmark, for
+            # each match. The sum over a pair is the logarithm of the height by both sizes.
             by_size = (self._log_sides[rows] - sides) / 2
             expected = by_size[one][:, :, None] + by_size[other][:, None, :]
             height = np.log(np.maximum(np.abs(turn), 1e-9))

@@ -56,8 +56,8 @@ class PhotographFolder:
         reader: reads photographs.
         rate_hz: number of photographs per second of a sequence in the order of names; None for the
             times in EXIF.
-        seconds: time of each photograph of a sequence from its start, without photographs that
-            cannot be read; None if photographs are localized independently.
+        seconds: time of each photograph of a sequence from its start; times from EXIF lack
+            photographs that cannot be read. None if photographs are localized independently.
     """
 
     folder: Path

@@ -42,8 +42,8 @@ _FAST_MPS: Final = 5.0
 _MAX_PHOTOGRAPHS: Final = 5
 
 Lens = tuple[str, str, float | None, tuple[float, ...], tuple[int, int]]
-"""Key of the photographs of one lens: maker, model, 35 mm equivalent focal length (mm), focal
-ratios of fields that contradict each other, and size in pixels."""
+"""Key of the photographs of one lens: maker, model, 35 mm equivalent focal length (mm), relative
+focal lengths f / max(w, h) of fields that contradict each other, and size in pixels."""
 
 
 @dataclass(frozen=True)

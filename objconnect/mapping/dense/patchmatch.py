@@ -70,7 +70,7 @@ def first_estimate(
     seeds: NDArray[np.float64],
     generator: torch.Generator,
 ) -> Estimate:
-    """Estimate planes from photographs alone.
+    """Estimate planes from photographs and map points, without depth maps of the sources.
 
     Args:
         reference: the view whose planes are sought.

@@ -1,8 +1,8 @@
 """Slanted planes of PatchMatch, parametrised by the inverse depth at a pixel and its slope.
 
 On a plane the inverse depth is linear in the pixel, 1/z(x, y) = w + gx dx + gy dy. A plane is
-therefore three numbers (w in 1/m, gx and gy in 1/m per pixel). Moving it to a neighbouring pixel
-takes one product, and its projection into another view is linear in them before the division. Any
+therefore three numbers (w in 1/m, gx and gy in 1/m per pixel). Moving it to another pixel takes
+two products, and its projection into another view is linear in them before the division. Any
 such plane with w > 0 faces the camera.
 """
 

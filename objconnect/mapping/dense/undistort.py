@@ -34,7 +34,7 @@ def pinhole_of(camera: Camera, size: int) -> Camera:
         size: longest side of the picture, pixels; pictures are never enlarged.
 
     Raises:
-        InputError: the camera's field of view is too wide for a pinhole.
+        InputError: no such pinhole exists, because the principal point or the distortion is wrong.
     """
     (fx, fy), (cx, cy) = camera.focal, camera.principal
     zoom = 1.0
@@ -70,7 +70,7 @@ def undistort_map(sparse_map: SparseMap, cameras: Mapping[Camera, Camera]) -> Sp
 
 
 def write_undistorted(photograph: Path, camera: Camera, pinhole: Camera, out: Path) -> None:
-    """Undistort a photograph and write it. A photograph without distortion is copied.
+    """Undistort a photograph and write it; copy one without distortion that keeps its size.
 
     Raises:
         InputError: the photograph is missing, damaged or not of its camera's size, or cannot be

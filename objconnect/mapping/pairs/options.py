@@ -18,7 +18,7 @@ class PairQueryOptions(Config):
         ge=0,
         le=45,
         description="Largest tilt from the vertical, in any direction, deg. Without a surface "
-        "model, views tilted further show roofs and trees as if painted on the ground.",
+        "model, strongly tilted views show roofs and trees as if painted on the ground.",
     )
     height_m: tuple[float, float] | None = Field(
         None,

@@ -27,7 +27,7 @@ from objconnect.scene.runtime.progress import progress_bar
 Array = NDArray[np.float64]
 
 # Smallest and largest side (px) of windows, and their maximum number along an axis. Neighbours
-# overlap by half.
+# overlap by half at most; in a large area they lie apart.
 _MIN_SIDE: Final = 64
 _MAX_SIDE: Final = 128
 _MAX_WINDOWS: Final = 8

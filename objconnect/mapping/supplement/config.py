@@ -8,7 +8,11 @@ from objconnect.scene.config import Config
 
 
 class SupplementConfig(Config):
-    """Thresholds of association and triangulation."""
+    """Thresholds of association and triangulation.
+
+    The command ``supplement`` uses ``views``, ``reprojection_px`` and ``angle_deg`` alone; the
+    function ``associate_and_triangulate`` uses all.
+    """
 
     neighbours: int = Field(
         12,

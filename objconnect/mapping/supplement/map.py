@@ -42,8 +42,9 @@ def add_to_map(
 
     Args:
         path: finished scene with a map.
-        points: results of ``associate_and_triangulate``; each becomes one object.
-        detections: detections from which the points were lifted.
+        points: results of ``supplement_points`` or ``associate_and_triangulate``; each becomes one
+            object.
+        detections: detections by photograph, from which the points were triangulated.
         map_sha256: digest of the map to which the points belong; None skips the check.
 
     Raises:

@@ -72,7 +72,7 @@ def propose_points(
     """
     names = [name for name in sparse_map.names if masks is None or name in masks]
     images = [sparse_map.images[name] for name in names]
-    # The classifier was trained on nadir photographs.
+    # Views near the horizon are left out: the classifier was trained on nadir photographs.
     images = [image for image in images if looks_down(image.cam_from_world[:3, :3])]
     if names and not images:
         raise InputError(

@@ -199,7 +199,8 @@ def _follow_one(view: int, photographs: _Photographs, min_views: int) -> Tracks:
 def _find_overlapping(
     view: int, images: Sequence[MapImage], ground: NDArray[np.float64]
 ) -> list[int]:
-    """Return the photographs that show most of the ground (N, 3) under a photograph's blobs."""
+    """Return the photographs with the largest shares of the ground (N, 3) under a photograph's
+    blobs, largest first."""
     overlap = [
         # A sample of the blobs is enough.
         0.0 if k == view or not len(ground) else float(project(image, ground[::50])[1].mean())
@@ -250,8 +251,9 @@ def _compare(
     appearance_a, appearance_b = a.appearance[rows_a], b.appearance[rows_b]
     lengths = np.linalg.norm(appearance_a, axis=1) * np.linalg.norm(appearance_b, axis=1)
     cosine = (appearance_a * appearance_b).sum(1) / lengths.clip(1e-6)
-    strong, weak = a.strength[rows_a], b.strength[rows_b]
-    same = np.minimum(strong, weak) > _MIN_STRENGTH_RATIO * np.maximum(strong, weak)
+    strength_a, strength_b = a.strength[rows_a], b.strength[rows_b]
+    weaker, stronger = np.minimum(strength_a, strength_b), np.maximum(strength_a, strength_b)
+    same = weaker > _MIN_STRENGTH_RATIO * stronger
     difference = np.linalg.norm(a.colour[rows_a] - b.colour[rows_b], axis=1)
     same &= difference < _MAX_COLOUR_DIFFERENCE
     return cosine, (cosine > _MIN_COSINE) & same

@@ -83,14 +83,15 @@ def _propose(
     sparse_map: SparseMap, detections: Mapping[str, Detections], pairs: Pairs
 ) -> NDArray[np.float64]:
     """Triangulate each pair of detections, (E, 3)."""
-    rows, poses = np.zeros((len(pairs), 2, 2)), np.zeros((len(pairs), 2, 3, 4))
+    normalised, poses = np.zeros((len(pairs), 2, 2)), np.zeros((len(pairs), 2, 3, 4))
     for view, name in enumerate(sparse_map.names):
         is_in_view = pairs.views == view
         if is_in_view.any():
             image = sparse_map.images[name]
-            rows[is_in_view] = _normalise(image, detections[name].xy)[pairs.rows[is_in_view]]
+            all_of_view = _normalise(image, detections[name].xy)
+            normalised[is_in_view] = all_of_view[pairs.rows[is_in_view]]
             poses[is_in_view] = image.cam_from_world[:3]
-    return triangulate_linearly(rows, poses)
+    return triangulate_linearly(normalised, poses)
 
 
 def triangulate_linearly(

@@ -84,9 +84,9 @@ class Session(Record):
         role: whether the frames build the map, are queries, or both.
         change: how the objects differ from those of the scene's seed.
         readout_s: seconds between the readout of the top and the bottom row of an image; not zero
-            for a rolling shutter. A pose then belongs to the middle row, the velocity is the
-            central difference of the positions, and each row of depth and the other layers belongs
-            to the pose of that row.
+            for a rolling shutter. A pose then belongs to the middle row. The velocity between rows
+            is the central difference of the positions. Each row of depth and the other layers
+            belongs to the pose of that row.
         thermal: how thermal pictures of the same poses are coded; None without such pictures.
     """
 
@@ -121,7 +121,8 @@ class Manifest(Record):
         georeference: absolute accuracy of the origin, as ``ingest`` measured or the user stated it;
             None if the file has no such key. See ``effective_georeference``.
         sessions: sessions by folder name.
-        sha256: digest of every other file of the scene, by relative path.
+        sha256: digest of every data file of the scene, by relative path; pictures and results have
+            none.
         pixels_sha256: digests of the decoded "image" and of each layer, by image name. They compare
             scenes that different library versions compressed.
     """

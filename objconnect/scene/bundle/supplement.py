@@ -19,7 +19,8 @@ SUPPLEMENT = "supplement.json"
 """The file beside a map that lists its added points."""
 
 ADDED_FEATURES = "supplement.h5"
-"""The file with the descriptors of added keypoints, in the order of each photograph."""
+"""The file with the keypoints of added points and their descriptors, by photograph, in the order
+of the points."""
 
 
 class AddedPoint(Record):
