@@ -82,7 +82,8 @@ def register_photographs(
     """Register photographs in a map by incremental structure from motion.
 
     Poses and cameras of the map are fixed. The distortion of uncalibrated cameras is adjusted, and
-    their focal length too if it is unknown.
+    their focal length too if it is unknown. If only some focal lengths are unknown, cameras with a
+    known one stay fixed.
 
     Args:
         root: folder that the names are relative to.

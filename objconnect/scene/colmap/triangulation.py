@@ -70,7 +70,7 @@ def triangulate_again(
     Args:
         root: folder that the names are relative to.
         images: some of the images of ``database``; matches with others are ignored.
-        database: file filled by ``match_photographs``.
+        database: file filled by ``match_photographs`` or ``match_new``.
         out: existing folder for the model.
         known: map of some of the images, with the same poses and keypoints. Its points change only
             if an image that the map lacks observes them.

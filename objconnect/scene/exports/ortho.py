@@ -202,8 +202,8 @@ class _Tile:
         column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
         inside = (column >= 0) & (column < self.grid.width) & (row >= 0) & (row < self.grid.height)
         centre = -view.cam_from_world[:3, :3].T @ view.cam_from_world[:3, 3]
-        down = centre - points[inside]
-        weight = (down[:, 2] / np.linalg.norm(down, axis=1)) ** 4
+        to_camera = centre - points[inside]
+        weight = (to_camera[:, 2] / np.linalg.norm(to_camera, axis=1)) ** 4
         mask[mask] = inside
         cell = (row * self.grid.width + column)[inside]
         return cell, coordinates[inside, 2], np.maximum(weight, 1e-6), mask

@@ -33,7 +33,7 @@ class StatedPrior:
         where: file and line of the row.
         frame: frame of the position.
         horizontal: east and north in metres, or latitude and longitude in degrees.
-        vertical: height, metres; None if unknown.
+        vertical: up in metres, or altitude in metres above the ellipsoid; None if unknown.
         sigma_m: standard deviation of the position per axis, metres; None if not stated.
         rotation: cam_from_world, (3, 3); None if unknown.
         sigma_deg: standard deviation of the attitude per axis, degrees; None if not stated.

@@ -165,9 +165,10 @@ def read_pairs(path: Path) -> dict[str, tuple[str, ...]]:
 def read_priors(path: Path) -> PriorTable:
     """Read a table of priors with the columns ``name,e,n,u`` or ``name,lat,lon,alt``.
 
-    East, north and up are metres in the map's frame; latitude and longitude are degrees. An unknown
-    height may be left out or be empty. Attitudes (cam_from_world) are the columns ``qw,qx,qy,qz``.
-    ``sigma_m`` and ``sigma_deg`` are standard deviations of position and attitude per axis.
+    East, north and up are metres in the map's frame; latitude and longitude are degrees, altitudes
+    metres above the ellipsoid. An unknown height may be left out or be empty. Attitudes
+    (cam_from_world) are the columns ``qw,qx,qy,qz``. ``sigma_m`` and ``sigma_deg`` are standard
+    deviations of position and attitude per axis.
 
     Returns:
         The stated priors, in the order of the file.

@@ -45,7 +45,8 @@ NO_HEIGHT: Final = -9999.0
 _MOST_PATCH_PIXELS = 1 << 28
 # Number of pixels that are read at once to form means.
 _READ_PIXELS = 1 << 22
-# The search for undeclared no data reads strips of at most this many rows and this many pixels.
+# The search for undeclared no data reads strips of at most this many rows, and about this many
+# pixels in all.
 _SEARCHED_ROWS, _MOST_SEARCHED_PIXELS = 256, 1 << 26
 # Side of the tiles of the files that we write, pixels.
 _TILE = 256

@@ -27,7 +27,7 @@ class Geodetic(NamedTuple):
 
 
 FARTHEST_M: Final = 1e8
-"""Largest distance of a point on earth from a map's origin (m). A file with larger coordinates is
+"""Largest accepted distance of a point from a map's origin (m). A file with larger coordinates is
 damaged, and powers of them overflow."""
 
 # Largest altitude of an aircraft (m).
@@ -102,7 +102,7 @@ def geodetic_from_ecef(ecef: NDArray[np.float64]) -> Geodetic:
     x, y, z = ecef
     p = math.hypot(x, y)
     lat = math.atan2(z, p * (1 - _E2))
-    for _ in range(6):  # every iteration reduces the error by a factor of e^2
+    for _ in range(6):  # every iteration multiplies the error by about _E2, 0.007
         n = _SEMI_MAJOR / math.sqrt(1 - _E2 * math.sin(lat) ** 2)
         lat = math.atan2(z + _E2 * n * math.sin(lat), p)
     n = _SEMI_MAJOR / math.sqrt(1 - _E2 * math.sin(lat) ** 2)

@@ -26,7 +26,7 @@ _POLYNOMIAL_COUNT = 4
 _LIMIT_SHARE, _BISECTIONS = 0.9999, 24
 # Smallest absolute denominator, which keeps pixels finite.
 _MIN_DENOMINATOR = 1e-6
-# First and largest angle (rad) of Newton's method for a fisheye: 86 and 89 degrees.
+# Largest first angle and largest angle (rad) of Newton's method for a fisheye: 86 and 89 degrees.
 _START_ANGLE, _MAX_ANGLE = 1.5, 1.5533
 
 
@@ -167,7 +167,7 @@ class Intrinsics:
         if self.fisheye:
             return self._distort_fisheye(uv, jacobian)
         if not self.distortion.any():
-            # A shortcut for simulated cameras: an alignment projects hundreds of times.
+            # A shortcut for cameras without distortion: an alignment projects hundreds of times.
             inside = uv.square().sum(-1) < self.limit[..., None] ** 2
             eye = torch.eye(2, dtype=uv.dtype, device=uv.device)
             return uv, eye.expand(*uv.shape[:-1], 2, 2) if jacobian else None, inside

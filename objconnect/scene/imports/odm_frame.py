@@ -263,7 +263,7 @@ def _find_frame(
     Args:
         path: file of the shots.
         shots: shots in the frame of the file.
-        turn: angle from east and north to the axes of the projected system, radians.
+        turn: meridian convergence of the projected system, radians, as ``convergence`` returns it.
         stated: frame that the user states.
         grid: name of the projected system, for messages.
 

@@ -57,8 +57,8 @@ def infer_order(track: PairedTrack, map_place: Pair | None = None) -> Reading[Or
     """Return the quantity of the first number of a track's pairs.
 
     Each check excludes orders: latitudes beyond 90 degrees, a map or a take-off out of reach, a
-    distance from take-off that differs from the stated one, and a speed that no drone has or that
-    differs from the stated one.
+    distance from take-off that differs from the stated one, and a speed above the stated ones or,
+    without these, above any drone's.
 
     Args:
         track: track of at least one pair.

@@ -34,8 +34,9 @@ class DecimalMarks:
         """Infer the decimal marks of a file from the texts of its numbers.
 
         A comma is a decimal mark if no number has a point and some comma cannot separate
-        thousands. In a file with both marks, numbers with a comma are not understood, nor those
-        with a point that may separate thousands.
+        thousands; otherwise numbers with a comma are not understood. If numbers have points and
+        some comma cannot separate thousands, a point that may separate them is not understood
+        either.
 
         Examples:
             >>> DecimalMarks.of(["47,0004", "60,000"]).parse("60,000")

@@ -57,7 +57,7 @@ def millimetres_per_unit(
     Args:
         texts: the numbers as they are written; at least one.
         numbers: their values.
-        scaled: result of ``scales_whole_numbers``.
+        scaled: result of ``scales_whole_numbers``; only True determines the unit.
         lenses: equivalent focal lengths of the map's cameras, mm.
     """
     source = "focal_len"

@@ -141,7 +141,8 @@ def is_rotated(detail: Mapping[str, object], size: Size, orientation: object) ->
     Args:
         detail: fields of EXIF by name, with the size of the picture as it was taken.
         size: width and height of the picture now, pixels.
-        orientation: the field ``Orientation``; programs that state the displayed size keep it.
+        orientation: the field ``Orientation``. If it exchanges the sides, EXIF's size may be that
+            of the displayed picture, so it shows no rotation of the pixels.
     """
     original_size = read_exif_size(detail)
     upright = to_number(orientation) not in _SIDEWAYS
@@ -174,7 +175,8 @@ def _sources(detail: Mapping[str, object], size: Size, lens: Lens | None) -> Ite
     """Yield the focal length of each field, the most exact field first."""
     zoom = to_number(detail.get("DigitalZoomRatio"))
     factors = (zoom, 1.0) if 1 < zoom < math.inf else (1.0,)
-    # Programs that resize a picture may write the new size beside the old resolution.
+    # Programs that resize a picture may write the new size beside the old resolution. If they keep
+    # the old size, it and the resolution belong together.
     width = to_number(detail.get("ExifImageWidth"))
     size_confirmed = width >= 1 and width not in size
     size_confirmed |= lens is not None and lens.size_confirmed
