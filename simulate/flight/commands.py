@@ -71,7 +71,7 @@ FLY_TO: Final = (
     Mav.LOITER_TIME,
     Mav.LOITER_TO_ALT,
 )
-"""Commands that fly to a position and continue from there."""
+"""Commands that fly to a position and, except ``LOITER_UNLIMITED``, continue from there."""
 
 LANDINGS: Final = (Mav.RETURN_TO_LAUNCH, Mav.LAND, Mav.VTOL_LAND)
 NAVIGATION: Final = (*FLY_TO, *LANDINGS, Mav.TAKEOFF, Mav.VTOL_TAKEOFF, Mav.DELAY)

@@ -249,7 +249,10 @@ def _direction(vector: Array, nose: float) -> tuple[float, float]:
 def _turning_s(
     before: Angles | None, after: Angles, rates: tuple[float | None, float | None]
 ) -> float:
-    """Return the duration of a turn at rates in degrees per second; 0 without rates."""
+    """Return the duration of a turn at rates in degrees per second; 0 without rates.
+
+    From unknown angles, or between a yaw from north and one from the nose, a full turn is assumed.
+    """
     turns = [_FULL_TURN, _FULL_TURN]
     if before is not None and before.locked == after.locked:
         turns = [

@@ -91,7 +91,7 @@ def _gantry() -> Mesh:
 
 
 def _stacker() -> Mesh:
-    """Build a reach stacker of 11 x 4.2 x 5 m with its boom ahead over the cabin."""
+    """Build a reach stacker of 11 x 4.2 x 5 m whose boom reaches ahead beside the cabin."""
     out = MeshBuilder()
     out.box((0.0, -1.9, 0.7), (2.2, 1.9, 2.4), "paint")  # counterweight
     out.box((2.2, -1.5, 0.8), (8.0, 1.5, 1.9), "paint", (0.9, 0.9, 0.9))

@@ -108,7 +108,7 @@ def _bale() -> Mesh:
 
 
 def _pole() -> Mesh:
-    """Build a power pole, with a crossarm along y and three insulators."""
+    """Build a power pole, with a crossarm along y and two insulators."""
     out = MeshBuilder()
     _drum(out, (0, 0), (0.0, 9.0), (0.17, 0.11), "paint")
     out.box((-0.06, -1.0, 8.35), (0.06, 1.0, 8.5), "paint")

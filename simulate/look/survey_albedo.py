@@ -93,8 +93,8 @@ def _lay_snow(
 ) -> None:
     """Cover rows of the albedo (h, n, 3) with snow, as ``simulate.look.ground.bake`` does.
 
-    ``kept`` is the share (h, n) of the snow that stays, in 1/255. The share includes shelter, so
-    that thaw is equally strong on all surfaces.
+    ``kept`` is the share (h, n) of the snow that stays, in 1/255. Unlike there, snow in the
+    shade thaws as fast as snow in the sun.
     """
     lying = np.clip(
         kept * np.float32(season.snow * 4.2 / 255) - _bare_threshold(season) + 1.5 * drift, 0, 1
@@ -105,7 +105,7 @@ def _lay_snow(
 
 
 def _bare_threshold(season: Season) -> float:
-    """Return the amount of snow, in units of cover, below which the ground is bare."""
+    """Return the amount of snow below which the ground is bare; one unit more covers it."""
     return 1.4 + 0.5 * season.thaw
 
 

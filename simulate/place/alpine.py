@@ -15,7 +15,7 @@ from simulate.place.styles import chalet_style
 
 
 def chalets(builder: PlaceBuilder, block: Block) -> None:
-    """Place chalets along both streets on an unfenced meadow, with spruces between them."""
+    """Place chalets along both streets on one meadow, with spruces between them."""
     rng = builder.rng
     length, depth = block.length, block.depth
     frame = block.front(1)
@@ -32,7 +32,10 @@ def chalets(builder: PlaceBuilder, block: Block) -> None:
 
 
 def _chalet(builder: PlaceBuilder, frame: StreetFrame, depth: float) -> None:
-    """Place a chalet ahead of the frame's origin, with a drive, a wood pile, a car and a fence."""
+    """Place a chalet ahead of the frame's origin, with a drive.
+
+    Wood piles, a car and a fence may stand beside it.
+    """
     rng = builder.rng
     size = rng.uniform(10.5, 14.5), rng.uniform(10.0, 12.5)
     style = chalet_style(builder, size[1])

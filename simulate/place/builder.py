@@ -161,7 +161,10 @@ class PlaceBuilder:
         self.markings.append(Marking(np.asarray(line, float), width_m))
 
     def is_free(self, position: ArrayLike, size: Sequence[float], yaw: float) -> bool:
-        """Return whether a rectangle of a size (2,), metres, at a point (2,) is free."""
+        """Return whether no object or reserved ground lies in a rectangle; roads are ignored.
+
+        The rectangle has the size (2,), metres, and its middle at a point (2,).
+        """
         return not self._is_occupied(rectangle(position, size, yaw), on_reserved=False)
 
     def reserve(self, polygon: Array) -> None:

@@ -75,7 +75,7 @@ def quay(builder: PlaceBuilder, block: Block) -> None:
 
 
 def _sheds(builder: PlaceBuilder, frame: StreetFrame, length: float, deep: float) -> None:
-    """Place a row of equal sheds with their gables to the water."""
+    """Place a row of equal sheds along the water."""
     if deep < 10.0:
         return
     rng = builder.rng
