@@ -6,7 +6,7 @@ seed and the query's name, so that they are the same for every method and for ev
 states the size of its error as its standard deviation.
 
 Methods use the prior in different ways. A refiner starts its optimization there. ``sift`` matches
-the map photographs nearest to it and, with ``use_gnss``, weighs its position in the refinement. It
+map photographs near it and, with ``use_gnss``, weighs its position in the refinement. It
 needs no initial pose, so its recall falls only if the nearest photographs no longer show the ground
 that the query shows.
 """

@@ -30,12 +30,12 @@ def list_initial_poses(
     same_place_m: float | None = None,
     headings: int = 0,
 ) -> list[Pose]:
-    """Return starts of a query (``cam_from_world``, float64), the likeliest first.
+    """Return initial poses of a query (``cam_from_world``, float64), the likeliest first.
 
-    If the altitude is unknown, each distinct height of the reference images gives a start, because
+    If the altitude is unknown, each distinct height of the reference images gives a pose, because
     a drone also climbs and descends. If the attitude is unknown, each of their distinct headings
-    gives a start, because a survey flies half of its lines in the opposite direction. If the
-    position is unknown, starts have the positions of the reference images; without a prior, they
+    gives a pose, because a survey flies half of its lines in the opposite direction. If the
+    position is unknown, the poses have the positions of the reference images; without a prior, they
     are the poses of the reference images.
 
     Args:
@@ -44,7 +44,7 @@ def list_initial_poses(
         reference_rows: rows of the reference images in ``sparse_map.names``, best first; at least
             one.
         same_place_m: without a prior, reference images farther apart than this (metres) are
-            separate starts though they share a heading; None for never.
+            separate poses though they share a heading; None for never.
         headings: number of evenly spaced headings that are tried where the heading is unknown; 0
             tries the headings of the reference images.
     """

@@ -35,7 +35,8 @@ def find_ids(numbers: NDArray[np.float32], ids: NDArray[np.int64]) -> NDArray[np
     """Return the ids (H, W) of the objects whose numbers (H, W) the renderer has written.
 
     Raises:
-        ValueError: An object of a tile without ids is shown.
+        ValueError: An object is shown whose tile was not expected in this photograph. Objects of
+            such tiles have placeholders above ``MAX_SCENE_ID`` instead of ids.
     """
     found = ids[np.rint(numbers).astype(np.int64)]
     if found.max() > MAX_SCENE_ID:

@@ -13,7 +13,7 @@ from simulate.render.frame import exposure_offset
 def roll_shutter(scene: Any, travel: NDArray[np.float64]) -> None:
     """Animate the camera for a rolling shutter with ``travel`` (3,) metres over the picture.
 
-    The camera's current position is that of the middle row.
+    The middle row is exposed at the camera's current position.
     """
     camera, moves = scene.camera, bool(travel.any())
     # Assigning these properties makes Cycles reload the scene for 0.3 s, even if nothing changes.
@@ -28,9 +28,10 @@ def roll_shutter(scene: Any, travel: NDArray[np.float64]) -> None:
     scene.cycles.rolling_shutter_type = "TOP"
     scene.cycles.rolling_shutter_duration = 0.0  # row by row and without streaks
     now = scene.frame_current
-    middle = np.array(camera.location) - exposure_offset(travel, scene.render.resolution_y)
+    # Cycles exposes every row ``exposure_offset`` too far along, so the path begins earlier.
+    keyed = np.array(camera.location) - exposure_offset(travel, scene.render.resolution_y)
     for step in (-1, 1):
-        camera.location = middle + step * travel
+        camera.location = keyed + step * travel
         camera.keyframe_insert("location", frame=now + step)
     for curve in camera.animation_data.action.fcurves:
         for key in curve.keyframe_points:

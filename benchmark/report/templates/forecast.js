@@ -126,7 +126,7 @@ function paint() {
   const focus = document.activeElement ? document.activeElement.getAttribute("data-season") : null;
   const config = data.config, calibration = data.calibration;
   const calibrated = calibration.queries
-    ? `Calibrated on ${calibration.queries} true queries of ${calibration.source}.`
+    ? `Calibrated on ${calibration.queries} queries in renders of ${calibration.source}.`
     : "Not calibrated for this method: the smoothed share of views with a fix.";
   document.getElementById("forecast").replaceChildren(
     verdicts(),

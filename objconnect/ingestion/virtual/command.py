@@ -128,7 +128,8 @@ def photograph_orthophoto(
         undulation: height of the geoid above the ellipsoid, metres, for a surface model with
             heights above sea level; 0 means heights above the ellipsoid.
         options: altitude, overlap, tilt and size of the views.
-        origin: origin of the world; by default in the middle of the orthophoto, on the ground.
+        origin: origin of the world; by default in the middle of the orthophoto, at the
+            mean height of the surface model.
         georeference: accuracy of both files on earth, which the files do not state; None if
             unknown.
 

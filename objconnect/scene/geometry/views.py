@@ -64,7 +64,7 @@ def north_angle(cam_from_world: NDArray[np.float64]) -> float:
 
 
 def map_angle(cam_from_world: NDArray[np.float64]) -> float:
-    """Return the clockwise angle (rad) of the rotation that aligns an image best with a map.
+    """Return the clockwise angle (rad) from up in an image to the map's north, the best fit.
 
     For views from above it equals ``north_angle``; it is defined for views of the horizon too.
 
