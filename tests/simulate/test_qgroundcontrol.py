@@ -238,7 +238,7 @@ def test_hostile_plans_are_one_line(tmp_path: Path, plan: Any, message: str) -> 
 def test_a_damaged_plan_is_refused_before_the_place_is_built(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("simulate.command.base_place", None)
+    monkeypatch.setattr("simulate.command.plan_scene", None)
     path = tmp_path / "a.plan"
     path.write_text(json.dumps(PLAN))
     config = SimulateConfig.load(None, {"sessions": [f"summer-noon:plan={path}"], "area": 160})

@@ -512,7 +512,7 @@ COMMANDS: dict[str, Row] = {
             "preset": values("site"),
             "from_scene": folder("hamlet", MANIFEST),
         },
-        work=("simulate.command.base_place",),
+        work=("simulate.scene_plan.base_place",),
     ),
     "simulate:plan": Row(
         {
