@@ -6,8 +6,8 @@ Objects are detections of the detector, segments of SLIC or Felzenszwalb, or squ
 square has the mean of the detector's vectors in it. For each kind a graph over objects is trained
 once per seed, and for the learned ones also a graph without messages from neighbours. Prints for
 each the top-1 and top-5 share of objects that match the right landmark, and how often the true pose
-(8 m, 10 degrees) is the first candidate or among the first five. Queries have no prior; the camera
-is assumed to look straight down.
+(8 m, 10 degrees) is the first candidate or among the first five. Queries have no prior; tilts
+of 0 to 60 degrees are tried.
 """
 
 from __future__ import annotations

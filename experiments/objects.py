@@ -9,7 +9,7 @@ ground: the mean intersection over union with the best segment there, for learne
 Felzenszwalb, squares and the true objects; and the share of objects found in both, by size class.
 ``matching``: graphs with and without neighbours are trained on some scenes and match objects to
 landmarks on others. ``starts``: whether the true pose (8 m, 10 degrees) is the first candidate,
-or among the first five. Queries have no prior; the camera is assumed to look straight down.
+or among the first five. Queries have no prior; tilts of 0 to 60 degrees are tried.
 """
 
 from __future__ import annotations
