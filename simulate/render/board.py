@@ -9,9 +9,10 @@ from simulate.render.job import Board
 
 
 def board_mesh(board: Board) -> Mesh:
-    """Build a chessboard with a white margin on a grey ground, metres.
+    """Build a chessboard with a white margin before a grey background, metres.
 
-    Its materials are called "white", "black" and "grey".
+    The squares are in the plane z = 0 and are seen from below (-z); the margin and the background
+    lie behind them. The materials are called "white", "black" and "grey".
     """
     out = MeshBuilder()
     side = board.square_m
