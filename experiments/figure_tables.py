@@ -32,7 +32,7 @@ Boards = Mapping[str, TrackBoard]
 # The columns of the table of methods: each start, and the prior that it gives to a method.
 _PRIORS: Final = {
     "error=3m,5deg": "prior off by 3 m, 5°",
-    "gps=50m": "position off by 50 m, no heading",
+    "gps=50m": "position off by 50 m, no attitude",
     "none": "no prior",
 }
 _TRACK: Final = "uav-seasons"
