@@ -42,7 +42,6 @@ def measure_place(place: str) -> None:
     from simulate.place.presets import preset
     from simulate.render.blender import _build_scene, _claim_stdout, _render, _set_up_render
     from simulate.render.job import RenderJob
-    from simulate.render.rendered_world import numbered_ids
 
     out = _claim_stdout()
     name, area, seed = place.split(":")
@@ -64,7 +63,7 @@ def measure_place(place: str) -> None:
     down = np.diag([1.0, -1.0, -1.0, 1.0])
     down[2, 3] = 80.0 + world.terrain.height(0.0, 0.0)
     with tempfile.TemporaryDirectory() as scratch:
-        _render(down, np.zeros(3), Path(scratch), numbered_ids(world))
+        _render(down, np.zeros(3), Path(scratch), np.arange(1 + len(world.objects)))
     spent.append(time.process_time())
     plan, scene, first = np.diff(spent)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # from kilobytes

@@ -33,11 +33,10 @@ from simulate.render.blender import (
     _claim_stdout,
     _render,
     _set_up_render,
-    _Stage,
 )
 from simulate.render.frame import pinhole_rays, save_layers, semantic_labels
 from simulate.render.job import RenderJob, frame_path
-from simulate.render.rendered_world import numbered_ids
+from simulate.render.stage import Stage
 
 
 def main(job_path: str, out: str) -> None:
@@ -46,10 +45,9 @@ def main(job_path: str, out: str) -> None:
     job = RenderJob.model_validate_json(Path(job_path).read_text())
     world = preset(job.preset)(job.seed, job.side_m)
     light = condition(job.condition)
-    ids = numbered_ids(world)
     _build_scene(world, light)
     _set_up_render(job, 0)
-    stage = _Stage(world, light)
+    stage = Stage(bpy.context.scene, world, light, [])
     scene = bpy.context.scene
     layer, rays, glow = scene.view_layers[0], pinhole_rays(job.camera), _glow()
     with tempfile.TemporaryDirectory() as scratch:
@@ -67,7 +65,7 @@ def main(job_path: str, out: str) -> None:
                 if ours:
                     scene.cycles.seed = int(number)
                     stage.set_up(job.camera, pose, 0.0)
-                    arrays = _render(pose, np.zeros(3), Path(scratch), ids)
+                    arrays = _render(pose, np.zeros(3), Path(scratch), stage.ids)
                     arrays["semantic"] = semantic_labels(
                         world, rays, pose, np.zeros((len(rays), 3)), arrays
                     )

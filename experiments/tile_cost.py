@@ -44,7 +44,7 @@ def survey_job(preset: str, seed: int, side_m: float, condition: str, frames: in
         return render_job(config, session, poses)
     place = TiledPlace(PRESETS.load(preset), seed, side_m)
     scene = TiledScene(place, [session.world_change])
-    views = scene.find_views(cover_by_pinhole(config.photo_camera())[0], poses)
+    views = scene.find_views("survey", cover_by_pinhole(config.photo_camera())[0], poses)
     (window,) = scene.number([views]).windows(0, views)
     return render_job(config, session, poses, windows=(window,))
 

@@ -89,12 +89,12 @@ def _plan_tiled(config: SimulateConfig) -> ScenePlan:
     sessions = config.drawn_sessions()
     scene = TiledScene(place, [session.world_change for session in sessions])
     plans, views = [], []
-    for index, session in enumerate(sessions):
+    for index, (name, session) in enumerate(zip(config.session_names(), sessions, strict=True)):
         rng, camera = session_generator(config, index), config.photo_camera(session)
         free = scene.is_free(index)
         poses = plan_session(session, config, camera, scene.land, rng, free)
         plans.append(SessionPlan(poses, rng))
-        views.append(scene.find_views(cover_by_pinhole(camera)[0], poses))
+        views.append(scene.find_views(name, cover_by_pinhole(camera)[0], poses))
     numbered = scene.number(views)
     for index, name in enumerate(config.session_names()):
         camera, world = config.photo_camera(sessions[index]), numbered.worlds[index].world

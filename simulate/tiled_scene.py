@@ -42,7 +42,9 @@ class TiledScene:
 
         def test(centres: Array) -> NDArray[np.bool_]:
             free = is_free(centres, self.land)
-            for index, at in self._group(centres[free], np.flatnonzero(free)):
+            inside = np.flatnonzero(free)
+            for index, here in self._place.group(centres[inside, :2]):
+                at = inside[here]
                 changed = change_world(self._place.tile(index), self._changes[session]).world
                 moved = replace(
                     changed, objects=tuple(move(changed.objects, self._place.centre(index)))
@@ -52,11 +54,18 @@ class TiledScene:
 
         return test
 
-    def find_views(self, camera: PinholeCamera, poses: Array) -> dict[int, View]:
-        """Return the tiles that each photograph of a session needs, by number."""
+    def find_views(self, name: str, camera: PinholeCamera, poses: Array) -> dict[int, View]:
+        """Return the tiles that each photograph of a session needs, by number.
+
+        Raises:
+            InputError: A photograph of the session called ``name`` shows too many tiles.
+        """
         views = {}
         for frame, pose in enumerate(poses):
-            views[frame] = find_view(self._place, camera, pose, self._heights)
+            try:
+                views[frame] = find_view(self._place, camera, pose, self._heights)
+            except InputError as error:
+                raise InputError(f"session {name}: photograph {frame}: {error}") from error
         return views
 
     def number(self, views: Iterable[Mapping[int, View]]) -> NumberedTiles:
@@ -104,14 +113,6 @@ class TiledScene:
         """Return objects of a tile with the coordinates and ids of the scene."""
         moved = move(objects, self._place.centre(index))
         return [replace(item, id=item.id + offset) for item in moved]
-
-    def _group(
-        self, centres: Array, numbers: NDArray[np.int64]
-    ) -> Iterable[tuple[Index, NDArray[np.int64]]]:
-        """Yield each tile that is under some of the positions (N, 3), with their numbers."""
-        tiles = self._place.index(centres[:, :2])
-        for row, column in np.unique(tiles, axis=0).tolist():
-            yield (row, column), numbers[(tiles == [row, column]).all(1)]
 
 
 class NumberedTiles(NamedTuple):

@@ -153,7 +153,8 @@ def publish_weights(
     """Write weights as a model for a hub, with a card and results.
 
     DIR holds the file of weights unchanged, the files beside it that calibrate covariances and
-    acceptance, a model card, the results and checksums. It appears when it is complete. --set weights=DIR uses the weights.
+    acceptance, a model card, the results and checksums. It appears when it is complete. --set
+    weights=DIR uses the weights.
     """
     from benchmark.publishing.description import Release
     from benchmark.publishing.weights.command import publish_weights as run

@@ -164,6 +164,7 @@ class Plan:
         """Build a place on its terrain, with streets on a lattice; ``seed`` draws its textures."""
         side_m = builder.side_m
         blocks = lay_streets(builder, lattice, self._pitch_m(side_m), self.streets)
+        carriageways = [r for r in builder.regions if r.class_name == self.streets.surface]
         for line_roads in self.before_blocks:
             line_roads(builder)
         parts = divide(blocks, side_m, len(self.quarters))
@@ -171,6 +172,9 @@ class Plan:
             quarter.fill(builder, part)
         for line_roads in self.after_blocks:
             line_roads(builder)
+        if lattice.bounded:
+            # Blocks with straight sides may reach over streets, which bend more in a tile.
+            builder.regions += carriageways
         ground = paint(side_m, builder.regions, builder.markings, texel_m)
         kerbs = lay_kerbs(builder.roads, ground)
         return World(

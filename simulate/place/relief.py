@@ -12,6 +12,7 @@ Point = tuple[float, float]
 
 _SPACING_M = 2.0
 _MAX_NODES = 500  # a side; enough, because the shortest wave is 90 m long
+_VALLEYS_M = 900.0  # distance of valleys; the ground is level between them
 _ORIGIN: Final[Point] = (0.0, 0.0)
 
 
@@ -36,6 +37,8 @@ def relief(side_m: float, rng: np.random.Generator, centre: Point = _ORIGIN) -> 
 def valley(side_m: float, rng: np.random.Generator, centre: Point = _ORIGIN) -> Heightfield:
     """Return rolling ground in a valley, whose sides rise by 30 to 45 m; arguments as ``relief``.
 
+    In a large place, parallel valleys lie ``_VALLEYS_M`` apart.
+
     The steepest slope is 23 to 41 % in 60 places of 300 m, with a median of 30 %.
     """
     rolling = relief(side_m, rng, centre)
@@ -45,5 +48,6 @@ def valley(side_m: float, rng: np.random.Generator, centre: Point = _ORIGIN) -> 
     along = np.cos(heading) * x + np.sin(heading) * y
     across = np.cos(heading) * y - np.sin(heading) * x
     across = across + 18.0 * np.sin(along / 90.0 + rng.uniform(0, 2 * np.pi))
+    across = across - _VALLEYS_M * np.round(across / _VALLEYS_M)
     rise = high * (1 - np.exp(-((across / wide) ** 2)))
     return Heightfield(rolling.nodes + rise, rolling.spacing_m)

@@ -7,8 +7,8 @@ seeds and sides give equal tiles, in any order and in any process.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
 
@@ -35,6 +35,8 @@ Index = tuple[int, int]
 MAX_TILED_SIDE_M: Final = 20_000.0
 _TILE_M: Final = 1000.0 / 3  # approximate side of a tile
 _CACHED_TILES: Final = 32  # a tile takes about 5 MB
+_CACHED_TERRAINS: Final = 1024  # 0.2 MB each
+_ROADS_M: Final = 1000.0  # distance from the middle up to which flights may follow roads
 _KEYS: Final = 1 << 24  # renderers read keys as float32, which is exact below this number
 _ROAD_STEP_M: Final = 3.0  # distance between the points of a road
 
@@ -69,6 +71,9 @@ class TiledPlace:
         self.seed, self.side_m = seed, side_m
         self._plan = plan
         self._relief = plan.draw_relief(seed, side_m)
+        self._terrain: Callable[[Index], Heightfield] = lru_cache(_CACHED_TERRAINS)(
+            lambda index: self.tile(index).terrain
+        )
         self.tile: Callable[[Index], World] = lru_cache(_CACHED_TILES)(self._build)
         """Returns the tile in a row, from the south, and column, in its own coordinates."""
 
@@ -86,10 +91,15 @@ class TiledPlace:
         return np.asarray(np.clip(cells.astype(np.int64), 0, self.count - 1)[..., ::-1])
 
     def land(self) -> World:
-        """Return the place without objects: coarse terrain, one texel of ground, border roads."""
-        half = 0.5 * self.side_m
-        along = np.linspace(-half, half, round(self.side_m / _ROAD_STEP_M) + 1)
+        """Return the place without objects, whose ground is one texel of grass.
+
+        Its roads are the borders of tiles within ``_ROADS_M`` of the middle. Its heights are those
+        of the tiles, which are built where heights are asked for; its nodes are coarse.
+        """
+        half = min(0.5 * self.side_m, _ROADS_M)
+        along = np.linspace(-half, half, round(2 * half / _ROAD_STEP_M) + 1)
         lines = self.tile_m * (np.arange(1, self.count) - 0.5 * self.count)
+        lines = lines[np.abs(lines) < half]
         width = self._plan.streets.widths_m[0]
         roads = [
             Road(np.stack([along, np.full_like(along, at)], -1)[:, order], width, main=False)
@@ -98,7 +108,21 @@ class TiledPlace:
         ]
         grass = np.full((1, 1), CLASSES["grass"], np.uint8)
         ground = Ground(self.side_m, grass, np.full((1, 1), 128, np.uint8), ())
-        return World(self.seed, self.side_m, self._relief, tuple(roads), ground, ())
+        terrain = _TiledHeights(self._relief.nodes, self._relief.spacing_m, self)
+        return World(self.seed, self.side_m, terrain, tuple(roads), ground, ())
+
+    def height(self, points: Array) -> Array:
+        """Return the height (N,), metres, of the ground of the tiles at points (N, 2), metres."""
+        heights = np.empty(len(points))
+        for index, here in self.group(points):
+            heights[here] = self._terrain(index).height(*(points[here] - self.centre(index)).T)
+        return heights
+
+    def group(self, points: Array) -> Iterator[tuple[Index, NDArray[np.int64]]]:
+        """Yield each tile under some of the points (N, 2), metres, with their numbers."""
+        tiles = self.index(points)
+        for row, column in np.unique(tiles, axis=0).tolist():
+            yield (row, column), np.flatnonzero((tiles == [row, column]).all(1))
 
     def assemble(self, first: Index, tiles: Sequence[Sequence[World]]) -> World:
         """Join neighbouring tiles to a square place, whose origin is its centre.
@@ -150,6 +174,18 @@ class TiledPlace:
         first = (1 + index[0] * self.count + index[1]) * (MAX_OBJECT_ID + 1)
         objects = tuple(replace(o, key=(first + o.id) % _KEYS) for o in tile.objects)
         return replace(tile, objects=objects, land_heights=self._relief.nodes.ravel())
+
+
+@dataclass(frozen=True)
+class _TiledHeights(Heightfield):
+    """Heights of a tiled place: those of its tiles, and coarse nodes for their range."""
+
+    place: TiledPlace
+
+    def height(self, x: ArrayLike, y: ArrayLike) -> Array:
+        """Return the ground height in metres at world x, y (metres, of any one shape)."""
+        x, y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
+        return self.place.height(np.stack([x.ravel(), y.ravel()], -1)).reshape(x.shape)
 
 
 def move(objects: Iterable[WorldObject], shift: Array) -> list[WorldObject]:

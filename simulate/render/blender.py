@@ -47,9 +47,9 @@ from simulate.render.frame import (
 from simulate.render.job import Board, FrameDone, RenderChunk, RenderJob, frame_path
 from simulate.render.precipitation import precipitate
 from simulate.render.process import end_with, keep_to_one_core
-from simulate.render.reach import Reach, depth_inside
-from simulate.render.rendered_world import build_world, find_ids, numbered_ids
+from simulate.render.rendered_world import build_world, find_ids
 from simulate.render.shutter import roll_shutter
+from simulate.render.stage import Stage, object_name
 from simulate.render.window import move_pose
 from simulate.thermal.camera import ThermalCamera
 
@@ -59,8 +59,6 @@ _SENSOR_MM = 36.0
 _FIRST_RAY_PX = 0.000526
 _NEAR_M = 0.1  # near clipping distance
 _NO_SURFACE_M = 1e9  # Cycles writes a depth of 1e10 where a ray hits nothing
-_MANY_OBJECTS = 5000  # in a place with more objects, unlinking objects is faster than moving them
-_FAR_BELOW_M = 1e7  # depth below the ground at which no ray meets an object
 
 
 def main(chunk_path: str) -> None:
@@ -79,13 +77,12 @@ def main(chunk_path: str) -> None:
         world, (x, y) = build_world(job)
         condition = conditions.condition(job.condition, job.origin)
         thermal = _thermal_camera(job, world, condition, _build_scene(world, condition, (x, y)))
-        stage = _Stage(world, condition)
+        stage = Stage(bpy.context.scene, world, condition, _add_beams(world, condition))
     _set_up_render(job, chunk.threads)
     bpy.context.scene.cycles.use_denoising = job.board is None  # denoising shifts edges of a board
     rays = pinhole_rays(job.camera) if chunk.rays is None else np.load(chunk.rays)
     bpy.context.view_layer.update()
-    ids = numbered_ids(world)
-    caster = Caster(bpy.context.scene.objects, ids, _NEAR_M)
+    caster = Caster(bpy.context.scene.objects, _NEAR_M)
     first_bytes = None  # memory after the first frame
     with scratch(Path(chunk_path).parent) as folder:
         for frame, rows in job.poses.items():
@@ -100,6 +97,7 @@ def main(chunk_path: str) -> None:
             travel = np.array(job.travel.get(frame, (0.0, 0.0, 0.0)))
             if stage is not None:
                 stage.set_up(job.camera, pose, float(np.linalg.norm(travel)))
+            ids = np.zeros(1, np.int64) if stage is None else stage.ids
             arrays = _render(pose, travel, folder, ids)
             if condition is not None:
                 drops = np.random.default_rng([job.seed, frame, 6])
@@ -156,17 +154,16 @@ def _build_scene(
     for item in world.objects:
         individual = individual_mesh(item, world)
         if individual is not None:
-            meshes.append(_mesh_data(f"{item.id:05d}", individual, materials))
+            meshes.append(_mesh_data(object_name(item.id), individual, materials))
             continue
         if item.shape not in shared:
             shared[item.shape] = _mesh_data(item.shape, shape_mesh(item.shape), materials)
         meshes.append(shared[item.shape])
     for surface in surfaces:
         _add(surface.name, surface)
-    for number, (item, data) in enumerate(zip(world.objects, meshes, strict=True), 1):
+    for item, data in zip(world.objects, meshes, strict=True):
         # Blender sorts objects by name; ascending names are fast to insert.
-        placed = _add(f"{item.id:05d}", data)
-        placed.pass_index = number
+        placed = _add(object_name(item.id), data)
         placed.location = item.centre
         placed.rotation_euler = (0.0, 0.0, item.yaw)
         placed.color = (*item.colour, float(item.driven))
@@ -237,6 +234,13 @@ def _add(name: str, data: Any) -> Any:
     return item
 
 
+def _add_beams(world: World, condition: Condition) -> list[tuple[Beam, Any]]:
+    """Add the lamps of a night, and return each beam with its light."""
+    if condition.night is None:
+        return []
+    return [(beam, _add_beam(f"beam {k:05d}", beam)) for k, beam in enumerate(beams(world))]
+
+
 def _add_beam(name: str, beam: Beam) -> Any:
     """Add a spot light, which the camera does not see, and return it."""
     lamp = bpy.data.lights.new(name, "SPOT")
@@ -249,41 +253,6 @@ def _add_beam(name: str, beam: Beam) -> Any:
     placed.scale = (1.0, beam.aspect, 1.0)
     placed.visible_camera = False
     return lamp
-
-
-class _Stage:
-    """Removes the objects that a frame does not need, without changing its pixels.
-
-    The class also adds the lamps of a night, and switches off lamps too far away to light the view.
-
-    Objects are moved far below the ground, which takes 0.2 ms each. In a place with many objects
-    they are unlinked instead, after which Cycles reloads the scene in 0.4 s.
-    """
-
-    def __init__(self, world: World, condition: Condition) -> None:
-        self._reach = Reach(world.objects, condition.luminary.elevation)
-        self._objects = [bpy.data.objects[f"{item.id:05d}"] for item in world.objects]
-        self._present = np.ones(len(self._objects), bool)
-        self._unlinks = len(self._objects) > _MANY_OBJECTS
-        self._beams = [] if condition.night is None else list(beams(world))
-        self._lamps = [_add_beam(f"beam {k:05d}", beam) for k, beam in enumerate(self._beams)]
-
-    def set_up(
-        self, camera: PinholeCamera, cam_from_world: NDArray[np.float64], travel_m: float
-    ) -> None:
-        """Restore the objects that a frame needs, and remove the others."""
-        needed = self._reach(camera, cam_from_world, travel_m)
-        linked = bpy.context.scene.collection.objects
-        for row in np.flatnonzero(needed != self._present):
-            if self._unlinks:
-                (linked.link if needed[row] else linked.unlink)(self._objects[row])
-            else:
-                self._objects[row].delta_location.z = 0.0 if needed[row] else -_FAR_BELOW_M
-        self._present = needed
-        positions = np.array([beam.position for beam in self._beams]).reshape(-1, 3)
-        inside = depth_inside(positions, camera, cam_from_world) + travel_m
-        for lamp, beam, depth in zip(self._lamps, self._beams, inside, strict=True):
-            lamp.energy = beam.watts if depth > -beam.reach_m else 0.0
 
 
 # --- the camera and the renderer -----------------------------------------------------------------

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.camera.resample import Cast
+from simulate.render.stage import parse_object_name
 
 # Objects whose box covers less of the picture than this (square px) may have parts thinner than a
 # pixel, such as lamps.
@@ -20,18 +21,17 @@ class Caster:
 
     Args:
         objects: objects of Blender with updated matrices.
-        ids: id of the object of each pass index, 0 for none.
         near_m: near clipping distance, metres.
     """
 
-    def __init__(self, objects: Iterable[Any], ids: NDArray[np.int64], near_m: float) -> None:
+    def __init__(self, objects: Iterable[Any], near_m: float) -> None:
         self._near_m = near_m
         # Matrices are stored, because objects that a frame does not need are moved away.
         self._objects: dict[int, list[tuple[Any, NDArray[np.float64]]]] = {}
         for item in objects:
             if item.type == "MESH":
                 placed = item, np.array(item.matrix_world)
-                self._objects.setdefault(int(ids[item.pass_index]), []).append(placed)
+                self._objects.setdefault(parse_object_name(item.name), []).append(placed)
         items = [
             (object_id, placed[0]) for object_id, placed in self._objects.items() if object_id > 0
         ]

@@ -69,7 +69,7 @@ def iterate_rendering(
     """Render as ``render`` does, and yield the number of each finished frame.
 
     Each process has ``threads`` threads; with None, the processes share the processors. A single
-    process finishes frames in the order of their numbers.
+    process finishes frames in the order of their numbers, window by window in a tiled place.
     """
     condition(job.condition, job.origin)
     preset(job.preset, job.site_path)
@@ -202,7 +202,7 @@ def _run(
             if len(left) == len(share.poses):
                 raise RenderError(f"the rendering process ended with {len(left)} frames missing")
             if left:
-                shares.append(share.model_copy(update={"poses": left}))
+                shares.appendleft(share.model_copy(update={"poses": left}))
     finally:
         for child in running:
             child.stop()

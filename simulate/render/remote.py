@@ -20,7 +20,7 @@ def render_files(share: RenderJob) -> Iterator[tuple[int, bytes]]:
     """Render all frames of a job with one process and one thread, on a worker.
 
     Yields:
-        The number and the file of each frame, in the order of their numbers.
+        The number and the file of each frame, window by window, in the order of their numbers.
     """
     with (
         scratch() as folder,
@@ -43,7 +43,12 @@ def render_remotely(
     Only this process writes to ``out_dir``, so workers need no shared folder.
     """
     out_dir.mkdir(parents=True, exist_ok=True)
-    missing = [i for i in sorted(job.poses) if not frame_path(out_dir, i).exists()]
+    missing = [
+        frame
+        for part in job.by_window()
+        for frame in sorted(part.poses)
+        if not frame_path(out_dir, frame).exists()
+    ]
     with closing(workers.map(split_job(job, missing, workers.cores))) as files:
         for frame, data in files:
             with atomic_write(frame_path(out_dir, frame)) as partial:

@@ -42,12 +42,3 @@ def find_ids(numbers: NDArray[np.float32], ids: NDArray[np.int64]) -> NDArray[np
     if found.max() > MAX_SCENE_ID:
         raise ValueError("a photograph shows an object of a tile that was not expected in it")
     return found.astype(np.uint16)
-
-
-def numbered_ids(world: World | None) -> NDArray[np.int64]:
-    """Return the ids (N + 1,) of the objects of a world by their number in it, from 1; 0 is none.
-
-    The renderer numbers objects, because it knows fewer numbers than a scene has ids.
-    """
-    items = () if world is None else world.objects
-    return np.array([0, *(item.id for item in items)], np.int64)

@@ -7,6 +7,7 @@ and not on the place.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Final, NamedTuple
 
@@ -18,16 +19,17 @@ from objconnect.scene.errors import InputError
 from simulate.camera.pinhole import PinholeCamera
 from simulate.place.change import Change, change_world
 from simulate.place.tiles import Index, TiledPlace, renumber
-from simulate.place.world import MAX_OBJECT_ID, World
+from simulate.place.world import World
 from simulate.render.reach import REACH_M
 
 Array = NDArray[np.float64]
 
 MAX_VIEW_M: Final = 800.0
-"""Horizontal distance from the camera up to which the tiles of a view are found, metres."""
+"""Horizontal distance from the camera up to which a window holds the tiles of a view, metres."""
 _SIZES: Final = (3, 5)  # numbers of tiles a side that a window may have
 _TALL_M: Final = 60.0  # no object rises so high above the highest ground
 _OVERHANG_M: Final = 30.0  # no object is so wide that it shows farther outside of its tile
+_STEEP: Final = math.tan(math.radians(30))  # slope of a ray, relative to its horizontal length
 _EDGE_RAYS: Final = 9  # number of rays along each side of a picture
 MAX_SCENE_ID: Final = (1 << 16) - 1
 """Largest id of an object in the frames of a scene; ids in tiles that no frame shows are larger."""
@@ -93,29 +95,39 @@ def find_view(
 ) -> View:
     """Return the tiles that a frame needs.
 
-    Tiles farther than ``MAX_VIEW_M`` from the camera are not needed. If a window of five tiles a
-    side does not hold all others, it lacks the farthest.
+    The window holds what the frame may show up to ``MAX_VIEW_M`` from the camera, and if possible
+    what may shade or light it.
 
     Args:
         place: The tiled place.
         camera: The pinhole camera.
         cam_from_world: Pose (4, 4).
         heights: The lowest and the highest ground of the place, metres.
+
+    Raises:
+        InputError: The frame shows more than a window of five tiles a side.
     """
-    low, high = _visible_box(camera, cam_from_world, heights)
+    low, high = _visible_box(camera, cam_from_world, heights, MAX_VIEW_M)
     first, last = place.index(low - REACH_M), place.index(high + REACH_M)
     middle = place.index(0.5 * (low + high))
     for side in _SIZES:
         start = np.clip(middle - side // 2, 0, max(place.count - side, 0))
         if (first >= start).all() and (last < start + side).all():
             break
+    if (place.index(low) < start).any() or (place.index(high) >= start + side).any():
+        raise InputError(
+            f"it shows ground of {high[0] - low[0]:.0f} x {high[1] - low[1]:.0f} m, more than "
+            f"{side} x {side} tiles: fly lower or look down more steeply"
+        )
     side = min(side, place.count)
+    window = (int(start[0]), int(start[1]))
+    # Objects of the window are shown beyond ``MAX_VIEW_M`` too.
+    low, high = _visible_box(camera, cam_from_world, heights, 2 * side * place.tile_m)
     shown = {
         (row, column)
         for row in _range(place, low, high, 0)
         for column in _range(place, low, high, 1)
     }
-    window = (int(start[0]), int(start[1]))
     return View(window, side, frozenset(shown & set(square_of_tiles(window, side))))
 
 
@@ -126,9 +138,12 @@ def _range(place: TiledPlace, low: Array, high: Array, axis: int) -> range:
 
 
 def _visible_box(
-    camera: PinholeCamera, cam_from_world: Array, heights: tuple[float, float]
+    camera: PinholeCamera, cam_from_world: Array, heights: tuple[float, float], most_m: float
 ) -> tuple[Array, Array]:
-    """Return the south-west and north-east corners (2,) of what a frame may show, metres."""
+    """Return the south-west and north-east corners (2,) of what a frame may show, metres.
+
+    Ground farther than ``most_m`` from the camera counts only in rays steeper than 30 degrees.
+    """
     edge = np.linspace(0, 1, _EDGE_RAYS)
     zeros, ones = np.zeros_like(edge), np.ones_like(edge)
     border = np.concatenate(
@@ -139,7 +154,8 @@ def _visible_box(
     rays = local @ cam_from_world[:3, :3]
     centre = -cam_from_world[:3, :3].T @ cam_from_world[:3, 3]
     across = np.linalg.norm(rays[:, :2], axis=1)
-    farthest = MAX_VIEW_M / np.maximum(across, 1e-9)
+    is_steep = -rays[:, 2] > _STEEP * across
+    farthest = np.where(is_steep, np.inf, most_m / np.maximum(across, 1e-9))
     points = []
     for z in (heights[0], heights[1] + _TALL_M):
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -176,9 +192,6 @@ def build_window(place: TiledPlace, window: Window, change: Change) -> World:
     """Return the world of a window after a change; its origin is the window's centre.
 
     Objects have the ids of the scene. In tiles that no frame shows, ids begin above those.
-
-    Raises:
-        InputError: The window has more objects than a renderer can number.
     """
     tiles = []
     hidden = MAX_SCENE_ID
@@ -189,13 +202,7 @@ def build_window(place: TiledPlace, window: Window, change: Change) -> World:
         if ids is None:
             hidden = max((item.id for item in tiles[-1].objects), default=hidden)
     rows = [tiles[k : k + window.side] for k in range(0, len(tiles), window.side)]
-    world = place.assemble(window.first, rows)
-    if len(world.objects) > MAX_OBJECT_ID:
-        raise InputError(
-            f"a photograph needs {window.side} x {window.side} tiles with more than "
-            f"{MAX_OBJECT_ID} objects: fly lower or look down more steeply"
-        )
-    return world
+    return place.assemble(window.first, rows)
 
 
 def move_pose(cam_from_world: Array, centre: tuple[float, float]) -> Array:

@@ -18,7 +18,8 @@ from simulate.render.blender import _build_scene
 from simulate.render.frame import pinhole_rays
 from simulate.render.job import RenderJob
 from simulate.render.pool import _camera_rays
-from simulate.render.rendered_world import build_world, numbered_ids
+from simulate.render.rendered_world import build_world
+from simulate.render.stage import parse_object_name
 from simulate.render.window import move_pose
 
 PIXELS = 1000
@@ -28,7 +29,6 @@ def main(job_path: str, out: str) -> None:
     job = RenderJob.model_validate_json(Path(job_path).read_text())
     world, origin = build_world(job)
     _build_scene(world, condition(job.condition), origin)
-    ids = numbered_ids(world)
     graph = bpy.context.evaluated_depsgraph_get()
     rays = (
         pinhole_rays(job.camera)
@@ -49,7 +49,7 @@ def main(job_path: str, out: str) -> None:
             )
             if hit:
                 found["depth"][f, k] = (rotation @ (np.array(at) - centre))[2]
-                found["instance"][f, k] = ids[item.pass_index]
+                found["instance"][f, k] = parse_object_name(item.name)
     np.savez(out, columns=pixels[..., 0], rows=pixels[..., 1], **found)
 
 

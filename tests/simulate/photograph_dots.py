@@ -19,7 +19,6 @@ from simulate.camera.resample import resample_colour
 from simulate.render.blender import _add, _render, _set_up_render
 from simulate.render.job import RenderJob
 from simulate.render.pool import _camera_rays
-from simulate.render.rendered_world import numbered_ids
 
 
 def main(job_path: str, dots_path: str, out: str) -> None:
@@ -46,7 +45,7 @@ def main(job_path: str, dots_path: str, out: str) -> None:
     # Linear light: of a tone curve's output the centre of light would not be that of the disc.
     bpy.context.scene.view_settings.view_transform = "Raw"
     with tempfile.TemporaryDirectory() as scratch:
-        picture = _render(pose, np.zeros(3), Path(scratch), numbered_ids(None))["rgb"]
+        picture = _render(pose, np.zeros(3), Path(scratch), np.zeros(1, np.int64))["rgb"]
     if job.distorted_camera is not None:
         c = job.camera
         picture = resample_colour(picture, c.f * _camera_rays(job.distorted_camera) + [c.cx, c.cy])

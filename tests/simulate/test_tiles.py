@@ -19,7 +19,7 @@ from simulate.look.conditions import condition
 from simulate.look.ground_images import bake_ground
 from simulate.place.change import Change
 from simulate.place.plan import Plan
-from simulate.place.plans import ALPINE, STREET, SUBURB
+from simulate.place.plans import ALPINE, FARMLAND, PARK, STREET, SUBURB
 from simulate.place.tiles import TiledPlace
 from simulate.place.town import TOWN
 from simulate.render import window as windows
@@ -150,6 +150,65 @@ def test_a_tilted_view_needs_more_tiles_and_shows_those_ahead() -> None:
     assert tuple(behind.tolist()) not in view.shown
 
 
+@pytest.mark.parametrize(("pitch_deg", "altitude_m"), [(5.0, 60.0), (30.0, 40.0), (5.0, 400.0)])
+def test_a_view_of_the_horizon_shows_all_tiles_of_its_window_that_lie_ahead(
+    pitch_deg: float, altitude_m: float
+) -> None:
+    place = town()
+    pose = look_east(10.0, 10.0, pitch_deg, altitude_m)
+    view = find_view(place, CAMERA, pose, (-5.0, 5.0))
+    for index in windows.square_of_tiles(view.first, view.side):
+        corners = np.array([[a, b] for a in (-1, 1) for b in (-1, 1)]) * 0.5 * place.tile_m
+        ground = np.column_stack([place.centre(index) + 0.9 * corners, np.zeros(4)])
+        local = ground @ pose[:3, :3].T + pose[:3, 3]
+        pixels = CAMERA.f * local[:, :2] / local[:, 2:] + [CAMERA.cx, CAMERA.cy]
+        if ((local[:, 2] > 0) & (pixels >= 0).all(1) & (pixels <= 64).all(1)).any():
+            assert index in view.shown
+
+
+def test_a_photograph_of_more_than_a_window_is_refused() -> None:
+    find_view(town(), CAMERA, look_down(0.0, 0.0, 900.0), (-5.0, 5.0))
+    with pytest.raises(InputError, match=r"it shows ground of 18.. x 18.. m, more than 5 x 5"):
+        find_view(town(), CAMERA, look_down(0.0, 0.0, 1600.0), (-5.0, 5.0))
+
+
+def test_heights_of_the_place_are_those_of_its_tiles() -> None:
+    place = TiledPlace(PARK, 2, SIDE_M)
+    index = (7, 7)
+    tile = place.tile(index)
+    water = np.argwhere(tile.ground.labels == CLASSES["water"])
+    assert len(water)
+    texel = tile.ground.texel_m
+    points = (water[::500, ::-1] + 0.5 - 0.5 * len(tile.ground.labels)) * texel
+    expected = tile.terrain.height(*points.T)
+    x, y = (points + place.centre(index)).T
+    assert_allclose(place.land().terrain.height(x, y), expected, atol=1e-6)
+
+
+def test_fields_do_not_reach_over_streets() -> None:
+    tile = TiledPlace(FARMLAND, 3, SIDE_M).tile((5, 5))
+    half = 0.5 * tile.side_m
+    points = np.concatenate([road.line for road in tile.roads])
+    points = points[(np.abs(points) < half).all(1)]
+    labels = tile.ground.label(*points.T)
+    assert np.isin(labels, [CLASSES["road"], CLASSES["path"]]).all()
+
+
+def test_flights_follow_the_roads_in_the_middle() -> None:
+    roads = town().land().roads
+    assert len(roads) == 12
+    assert max(np.abs(road.line).max() for road in roads) <= 1000.0
+
+
+def test_every_part_of_an_alpine_place_has_valleys() -> None:
+    place = TiledPlace(ALPINE, 3, SIDE_M)
+    for index in ((1, 1), (7, 7), (12, 4), (3, 13)):
+        rows = [
+            place.tile((index[0] + r, index[1] + c)) for r in range(-1, 2) for c in range(-1, 2)
+        ]
+        assert np.ptp(np.concatenate([tile.terrain.nodes.ravel() for tile in rows])) > 20.0
+
+
 def scene_config(**options: object) -> SimulateConfig:
     """Return a scene of few small photographs over a tiled town."""
     sessions = [
@@ -234,7 +293,7 @@ def corner_job(shift: int = 0) -> RenderJob:
     """
     place, pose = town(), look_down(0.5 * town().tile_m - 5.0, 0.5 * town().tile_m + 10.0)
     scene = TiledScene(place, [Change()])
-    ((frame, view),) = scene.find_views(CAMERA, pose[None]).items()
+    ((frame, view),) = scene.find_views("corner", CAMERA, pose[None]).items()
     numbered = scene.number([{frame: view}])
     moved = view._replace(first=(view.first[0], view.first[1] + shift))
     return RenderJob(
