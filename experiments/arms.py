@@ -1,9 +1,8 @@
 """Compare arms: runs of one method on the same queries that differ in one option.
 
-    objconnect evaluate SCENES/* --method objconnect --start none --out OBJECTS
-    objconnect evaluate SCENES/* --method objconnect --start none --out TILTS \\
-      --set objects=null --set 'place.tilts_deg=[0,15,30,45,60]'
-    python -m experiments.arms SCENES/* --arm objects=OBJECTS --arm tilts=TILTS
+    objconnect evaluate SCENES/* --method objconnect --start none --out BOTH
+    objconnect evaluate SCENES/* --method objconnect --start none --set objects=null --out TILTS
+    python -m experiments.arms SCENES/* --arm both=BOTH --arm tilts=TILTS
 
 Prints a table of recall at 0.5 m, 5 degrees by the true tilt of the camera, with false fixes and
 seconds, and a table that pairs each further arm with the first. Only changed queries count, whose

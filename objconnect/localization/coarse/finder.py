@@ -34,7 +34,6 @@ from objconnect.localization.resolution import (
     observed_xyz,
     scale_to,
 )
-from objconnect.scene.config import with_default
 from objconnect.scene.geometry.pose import Pose, so3_exp
 from objconnect.scene.geometry.views import WarpedImage, level_rotation, map_angle, tilt
 from objconnect.scene.localizer import Prior, Query
@@ -71,9 +70,7 @@ _REACH_SIGMAS: Final = 3.0
 
 
 class CoarseSearchOptions(TiltOptions):
-    """Options of the coarse search, which by default assumes a camera that looks straight down."""
-
-    tilts_deg: tuple[float, ...] = with_default(TiltOptions, "tilts_deg", (0.0,))
+    """Options of the coarse search."""
 
     candidates: int = Field(
         16, ge=0, description="Maximum number of candidates; 0 for no coarse search."
