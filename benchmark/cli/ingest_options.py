@@ -28,7 +28,7 @@ MapOrthophoto = Annotated[
     typer.Option(
         metavar="MAP",
         help="Orthophoto (GeoTIFF) to make the map from. PHOTOS is then an orthophoto of another "
-        "date, from which queries with exact poses are drawn, and SCENE becomes a flight; see "
+        "date, from which queries with exact poses are drawn, and SCENE is a flight data set; see "
         "docs/pairs.md.",
     ),
 ]
