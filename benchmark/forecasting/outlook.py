@@ -142,7 +142,7 @@ def _outlooks(
     for k, fix_probability in enumerate(probabilities.tolist()):
         cause = None
         if fix_probability < config.weak:
-            cause = "few points" if points[k] < FEW_POINTS else "look"
+            cause = "few points" if points[k] < FEW_POINTS else "appearance"
         outlooks.append(
             Outlook.model_validate(
                 {

@@ -11,7 +11,7 @@ from objconnect.localization.provenance import Environment, Method
 from objconnect.scene.runtime.escaping import for_terminal
 from objconnect.scene.storage.records import Record
 
-Cause = Literal["few points", "look"]
+Cause = Literal["few points", "appearance"]
 Verdict = Literal["holds", "gaps", "fails"]
 
 SCHEMA = "objconnect forecast 2"
@@ -20,8 +20,8 @@ FEW_POINTS: Final = 40
 
 CAUSES: Mapping[Cause, str] = {
     "few points": "few points of the map are in view: photograph the ground there for the map",
-    "look": "the map has points there, but the season hides them: fly the map again in a season or "
-    "light nearer to this one, fly higher, or choose another method",
+    "appearance": "the map has points there, but the season hides them: fly the map again in a "
+    "season or light nearer to this one, fly higher, or choose another method",
 }
 VERDICTS: Mapping[Verdict, str] = {
     "holds": "fixes all along",
@@ -219,7 +219,7 @@ def weak_stretches(
                 last=last + 1,
                 gap_m=round(waypoints[after].along_m - waypoints[before].along_m, 1),
                 probability=round(sum(o.probability for o in part) / len(part), 4),
-                cause="few points" if 2 * few > len(part) else "look",
+                cause="few points" if 2 * few > len(part) else "appearance",
             )
         )
     return tuple(sorted(stretches, key=lambda stretch: -stretch.gap_m))

@@ -39,7 +39,7 @@ Picture = NDArray[np.float32]
 
 
 def segment(images: Tensor, config: ObjConnectNetConfig) -> Tensor:
-    """Segment images; this is S of equation (1).
+    """Segment images; this is S of equation (1) of the object-connect paper.
 
     Args:
         images: images (B, 3, H, W), RGB in 0..1.

@@ -55,7 +55,7 @@ def test_the_made_flight_holds_in_summer_and_fails_in_snow() -> None:
     assert (weak.first, weak.last) == (3, 5)
     assert weak.gap_m == 90.0, "from waypoint 2 to the end"
     causes = [w.seasons["snow-dusk"].cause for w in made.waypoints]
-    assert causes == [None, None, "few points", "few points", "look"]
+    assert causes == [None, None, "few points", "few points", "appearance"]
     assert weak.cause == "few points"
     assert snow.sigma_across_m == pytest.approx(0.2)
     assert summer.false_risk < snow.false_risk
@@ -89,7 +89,7 @@ def test_geojson_has_longitude_first_and_says_why() -> None:
         assert 7.9 < longitude < 8.1
         back = enu_from_geodetic(Geodetic(latitude, longitude, altitude), ORIGIN)
         np.testing.assert_allclose(back, centre, atol=0.01)
-    assert points[4]["properties"]["snow-dusk cause"] == "look"
+    assert points[4]["properties"]["snow-dusk cause"] == "appearance"
     assert 0 < points[0]["properties"]["summer-noon probability"] < 1
     assert lines[0]["properties"]["season"] == "snow-dusk"
     assert len(lines[0]["geometry"]["coordinates"]) == 4, "with the last likely fix before it"
