@@ -155,14 +155,16 @@ def _visible_box(
     centre = -cam_from_world[:3, :3].T @ cam_from_world[:3, 3]
     across = np.linalg.norm(rays[:, :2], axis=1)
     is_steep = -rays[:, 2] > _STEEP * across
-    farthest = np.where(is_steep, np.inf, most_m / np.maximum(across, 1e-9))
+    capped = most_m / np.maximum(across, 1e-9)
+    farthest = np.where(is_steep, np.inf, capped)
     points = []
     for z in (heights[0], heights[1] + _TALL_M):
         with np.errstate(divide="ignore", invalid="ignore"):
             length = (z - centre[2]) / rays[:, 2]
         # A ray that leaves the layer of objects upwards, or starts below its top, has no such end.
-        length = np.where(length > 0, length, farthest if z == heights[0] else 0.0)
-        points.append(centre[:2] + np.minimum(length, farthest)[:, None] * rays[:, :2])
+        outside = capped if z == heights[0] else np.zeros_like(capped)
+        length = np.where(length > 0, np.minimum(length, farthest), outside)
+        points.append(centre[:2] + length[:, None] * rays[:, :2])
     ends = np.concatenate(points)
     return ends.min(0), ends.max(0)
 

@@ -172,6 +172,14 @@ def test_a_photograph_of_more_than_a_window_is_refused() -> None:
         find_view(town(), CAMERA, look_down(0.0, 0.0, 1600.0), (-5.0, 5.0))
 
 
+def test_a_flight_under_the_ground_is_refused(tmp_path: Path) -> None:
+    flight = {"kind": "corridor", "line": [[0, 0], [60, 0]], "altitude_m": 0.1}
+    sessions = [{"condition": "summer-noon", "flight": flight, "role": "map", "frames": 2}]
+    config = scene_config(sessions=sessions, position_jitter_m=5.0)
+    with pytest.raises(InputError, match="photograph 1 is .* below the minimum clearance"):
+        plan_scene(config, tmp_path, None)
+
+
 def test_heights_of_the_place_are_those_of_its_tiles() -> None:
     place = TiledPlace(PARK, 2, SIDE_M)
     index = (7, 7)
