@@ -120,7 +120,7 @@ class NumberedTiles(NamedTuple):
 
     Attributes:
         objects: The objects of all sessions, by ascending id.
-        worlds: The world of each session, with these objects on coarse terrain.
+        worlds: The world of each session, with these objects. Its heights are those of the tiles.
         ids: The ids of the tiles in each session.
     """
 
