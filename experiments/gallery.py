@@ -229,8 +229,8 @@ place allows. Each is shown from an orbit, from above and from the street.
 
 ## Conditions over {config.preset}
 
-No object moves between conditions. In the season leafoff, broadleaved trees are bare, which a
-scene records as a change of its flight. Every season, light and weather can be combined. Each
+No object moves between conditions. In the season leafoff, broadleaved trees are bare; a
+scene records them as changed objects. Every season, light and weather can be combined. Each
 figure varies one of the three; the other two are those of {base_condition}.
 
 ### Seasons

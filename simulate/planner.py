@@ -73,7 +73,7 @@ def plan_session(
     camera: Camera,
     world: World,
     rng: np.random.Generator,
-    free: FreeTest | None = None,
+    free_test: FreeTest | None = None,
 ) -> Array:
     """Plan the poses of a session's photographs.
 
@@ -83,7 +83,7 @@ def plan_session(
         camera: The camera of the photographs; its footprint is approximated by a pinhole.
         world: The place with the session's change.
         rng: The random generator of the session, see ``session_generator``.
-        free: Returns which positions (N, 3) are free for a camera; None takes the objects of
+        free_test: Returns which positions (N, 3) are free for a camera; None takes the objects of
             ``world``.
 
     Returns:
@@ -101,7 +101,7 @@ def plan_session(
         defaults=draw_plan(defaults, rng) if config.courses == "own" else defaults,
         wind=Wind(config.position_jitter_m, config.attitude_jitter_deg),
         roads=world.roads,
-        is_free=free or partial(is_free, world=world),
+        is_free=free_test or partial(is_free, world=world),
         origin=config.origin,
     )
     frames = None if flight.determines_frames else session.frames or config.frames

@@ -91,8 +91,8 @@ def _plan_tiled(config: SimulateConfig) -> ScenePlan:
     plans, views = [], []
     for index, (name, session) in enumerate(zip(config.session_names(), sessions, strict=True)):
         rng, camera = session_generator(config, index), config.photo_camera(session)
-        free = scene.is_free(index)
-        poses = plan_session(session, config, camera, scene.land, rng, free)
+        free_test = scene.free_test(index)
+        poses = plan_session(session, config, camera, scene.land, rng, free_test)
         plans.append(SessionPlan(poses, rng))
         views.append(scene.find_views(name, cover_by_pinhole(camera)[0], poses))
     numbered = scene.number(views)

@@ -37,7 +37,7 @@ class TiledScene:
         nodes = self.land.terrain.nodes
         self._heights = float(nodes.min()), float(nodes.max())
 
-    def is_free(self, session: int) -> Callable[[Array], NDArray[np.bool_]]:
+    def free_test(self, session: int) -> Callable[[Array], NDArray[np.bool_]]:
         """Return the function that tells which positions (N, 3) are free for a camera."""
 
         def test(centres: Array) -> NDArray[np.bool_]:

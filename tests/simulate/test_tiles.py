@@ -271,7 +271,7 @@ def test_planned_flights_keep_clear_of_the_objects_of_tiles() -> None:
     item = next(o for o in tile.objects if o.class_name == "building")
     inside = item.centre + np.array([*town().centre((7, 7)), 0.0])
     positions = np.stack([inside, inside + np.array([0.0, 0.0, 60.0])])
-    assert scene.is_free(0)(positions).tolist() == [False, True]
+    assert scene.free_test(0)(positions).tolist() == [False, True]
 
 
 def test_a_place_too_large_or_of_several_quarters_is_refused() -> None:
