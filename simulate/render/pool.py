@@ -43,8 +43,8 @@ def render(
 
     A frame is a file ``NNNNNN.npz`` with rgb (H, W, 3) uint8 sRGB, depth (H, W) float32 planar
     metres (0: no surface), instance (H, W) uint16 object ids (0: ground or sky), semantic (H, W)
-    uint8 labels (not for a board) and normal (H, W, 3) int8 world normals times 127. The file
-    appears only when it is complete.
+    uint8 labels (none if a calibration board is rendered, ``RenderJob.board``) and normal (H, W, 3)
+    int8 world normals times 127. The file appears only when it is complete.
 
     Args:
         job: the frames.

@@ -238,7 +238,8 @@ def level_image(
     Args:
         rgb: (H, W, 3) the photograph.
         camera: its camera.
-        view_from_camera: (3, 3) rotation to the view, for instance for ``level_rotation``.
+        view_from_camera: (3, 3) rotation from camera to view coordinates; to level a photograph of
+            rotation R, ``level_rotation(R, target_tilt) @ R.T``.
         scale: pixels of the view per pixel of the photograph, at the axes. It is reduced if the
             view would have more than twice the pixels.
     """
