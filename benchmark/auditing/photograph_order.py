@@ -28,7 +28,7 @@ _MOST_SWAPPED = 12
 # In the right order, photographs that share matches are nearer to each other, in the median, than
 # this factor times the median distance of any two photographs.
 _MAX_DISTANCE_RATIO = 0.7
-# A line names at most this many photographs.
+# A line names at most this many photographs, or pairs of swapped ones.
 _NAMED = 4
 
 

@@ -105,7 +105,8 @@ def read_coco(path: Path, image: str, count: int) -> Labels:
     if not segmentations:
         raise InputError(f"{path} has no masks of {image!r}: add annotations with its image_id")
     masks = [
-        _mask(segmentation, f"{path}, mask {k}") for k, segmentation in enumerate(segmentations)
+        _mask(segmentation, f"{path}, mask {k} of {image!r}")
+        for k, segmentation in enumerate(segmentations, 1)
     ]
     if len({mask.shape for mask in masks}) > 1:
         raise InputError(

@@ -15,7 +15,8 @@ from objconnect.mapping.supplement.ground_plane import Ground
 from objconnect.scene.maps.sparse_map import MapImage
 from objconnect.scene.runtime.progress import progress_bar
 
-# Tested heights above the ground (m), from below a slope to the roof of a van.
+# Tested heights (m) above the estimated ground, from below it, as an estimate on a slope may be too
+# high, to the roof of a van.
 _LOWEST_M: Final = -0.75
 _HIGHEST_M: Final = 3.3
 _HEIGHT_STEP_M: Final = 0.25

@@ -104,7 +104,7 @@ def test_files_that_are_no_annotations(tmp_path: Path) -> None:
 )
 def test_coco_masks_of_absurd_size(size: list[float], counts: list[float], tmp_path: Path) -> None:
     path = write(tmp_path / "masks.json", [{"size": size, "counts": counts}])
-    with pytest.raises(InputError, match="mask 0"):
+    with pytest.raises(InputError, match="mask 1"):
         read_coco(path, "a.jpg", 8)
 
 
