@@ -55,8 +55,9 @@ class D2NetTraining:
         authors' training, or half of the points of a pair if that is less.
 
         Returns:
-            The loss, and log values: ``contrastive``, the fields of ``TripletLoss`` if any pair has
-            enough correspondences, and ``pairs``, the number of such pairs.
+            The loss, and log values: ``contrastive``; after the warm-up also ``pairs``, the number
+            of pairs with enough correspondences, and if there are any, the fields of
+            ``TripletLoss``.
         """
         count, most_points = batch.valid.shape
         images = torch.cat([batch.image_a, batch.image_b])

@@ -44,8 +44,9 @@ class PixlocLocalizer(FeaturemetricLocalizer):
 class PixlocSearchConfig(SearchingConfig):
     """Options of the pixloc-search localizer, those of ``objconnect`` without objects.
 
-    It is a control in comparisons. Its gain over ``pixloc`` comes from the search, the corners and
-    more reference images. The gain of ``objconnect`` over it comes from the network and objects.
+    It is a control in comparisons. Its gain over ``pixloc`` comes from SIFT matches, the search,
+    the corners and more reference images. The gain of ``objconnect`` over it comes from the network
+    and objects.
     """
 
 

@@ -29,15 +29,17 @@ Array = NDArray[np.float64]
 FOCAL = "focal lengths fit the photographs"
 PRINCIPAL = "principal points fit the photographs"
 
-# A focal length fits if its relative error is below the first value, and contradicts EXIF if the
-# relative difference is above the second.
+# A focal length is wrong if its relative error is significant and above the first value; otherwise
+# it fits if the standard error is below this value. It contradicts EXIF if the relative difference
+# is above the second.
 _FOCAL_FITS = 0.01
 _EXIF_FITS = 0.15
 # A shift counts as half a pixel if its standard error (px) is below the first value and its
 # difference from the nearest multiple of 0.5 px is below the second.
 _HALF_SIGMA, _HALF_TOLERANCE = 0.1, 0.15
-# A principal point fits if its error is below the larger of this many pixels and this share of the
-# longer side.
+# A principal point is wrong if its error is significant and above a limit, the larger of this many
+# pixels and this share of the longer side; otherwise it fits if the standard error is below half of
+# the limit.
 _PRINCIPAL_FITS, _PRINCIPAL_SHARE = 1.0, 1e-3
 # A deviation of more than this many standard errors is significant.
 _SIGMAS = 5.0
@@ -174,7 +176,8 @@ def check_calibration(
     """Check the stated cameras.
 
     Args:
-        fitted: correction that fits the matches; None with too few pairs.
+        fitted: correction that fits the matches; None if the matches are too few or contradict the
+            poses.
         cameras: stated cameras.
         exif: metadata of the photographs.
     """
@@ -216,9 +219,9 @@ def _check_focal(
 
 def _check_principal(fitted: Correction | None, side: int) -> Finding:
     """Check principal points; ``side`` is the longer side of the largest photograph, pixels."""
-    why = "the flight does not determine them: it needs views in several directions"
     if fitted is None:
-        return unknown(PRINCIPAL, why)
+        return unknown(PRINCIPAL, "the matches are too few or contradict the poses")
+    why = "the flight does not determine them: it needs views in several directions"
     shift, sigma = fitted.shift, fitted.shift_sigma
     best = f"best shift {shift[0]:+.2f}, {shift[1]:+.2f} px (±{sigma[0]:.2f}, {sigma[1]:.2f})"
     figures = {"x_px": float(shift[0]), "y_px": float(shift[1]), "sigma_px": float(sigma.max())}

@@ -19,7 +19,7 @@ READABLE = "photographs are there and readable"
 SIZES = "photographs have the size of their cameras"
 UNIQUE = "every photograph is there once"
 
-# A line names at most this many photographs.
+# A line names at most this many pairs of duplicates.
 _NAMED = 3
 
 

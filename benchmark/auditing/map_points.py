@@ -56,6 +56,6 @@ def check_points(
         return wrong(CHECK, "points-off", check.detail, **check.figures)
     if not photographs_agree:
         return wrong(CHECK, "half-pixel", check.detail, **check.figures)
-    where = "high" if shift_px[check.detail] > 0 else "low"
-    detail = f"keypoints are half a pixel {where}, while cameras and photographs agree"
+    size = "large" if shift_px[check.detail] > 0 else "small"
+    detail = f"keypoint coordinates are half a pixel too {size}; cameras and photographs agree"
     return wrong(CHECK, "half-pixel", detail, **check.figures)

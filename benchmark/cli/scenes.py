@@ -253,8 +253,8 @@ def export(
     """Write the poses and cameras of a scene in the format of another program.
 
     Photographs stay in the scene, except with --format cmu, video and rerun-images. Image names in
-    the files are relative to SCENE/sessions; in transforms.json they are relative to the file
-    itself.
+    the files are relative to SCENE/sessions, but in transforms.json they are relative to the file
+    itself, and with --format opensfm and metashape they have no folders.
     An orthophoto is fused from the map's photographs.
     """
     from objconnect.scene.exports.export import export as run

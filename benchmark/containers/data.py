@@ -50,7 +50,8 @@ def write_data(task: Task, start: Start, folder: Path) -> None:
         folder: folder to fill.
 
     Raises:
-        InputError: a photograph is missing or damaged, or the folder cannot be written.
+        InputError: the photograph of a query is missing or damaged, or the folder cannot be
+            written.
     """
     (folder / MAP).mkdir()
     for name in MODEL_FILES:

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 SAME_M: Final = 10.0
 """Two flights are on one course if the median distance of their cameras of the same number is below
 this, metres. The median is 40 m or more between independent random flights over a square of 220 m,
-up to 14 m between drives along one street, and 1 m between repeated surveys.
+up to 14 m between drives along one street, some of which are thus on different courses, and 1 m
+between repeated surveys.
 """
 
 

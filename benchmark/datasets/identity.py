@@ -1,8 +1,8 @@
 """Digests that identify a data set: of its files, and of the poses and priors of its queries.
 
-The digests cover the photographs of the queries and of the map, and the files of the map. All are
-computed from the bytes on disk, not taken from a manifest. Names are relative, so that a copy in
-another folder is the same data set.
+The digests of files cover the photographs of the queries and of the map, and the files of the map.
+They are computed from the bytes on disk, not taken from a manifest. Names are relative, so that a
+copy in another folder is the same data set.
 """
 
 from __future__ import annotations

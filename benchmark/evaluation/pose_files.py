@@ -51,7 +51,7 @@ class _Answer(NamedRecord):
 
 @dataclass(frozen=True)
 class PoseWriter:
-    """Writes the poses with status ok that a method finds; other answers count as wrong.
+    """Writes the poses with status ok that a method finds; other answers get no line.
 
     Attributes:
         localizer: method to run.

@@ -52,7 +52,7 @@ def submit(
         jobs: number of images at a time, in threads.
 
     Returns:
-        The number of localized images, and the number of all images.
+        The number of localized images, and the number of images that are not left out.
 
     Raises:
         InputError: a file of the data set is missing, damaged or changed during the run, two

@@ -73,7 +73,7 @@ class Evidence(NamedTuple):
         inliers: weighted mean of log(1 + inliers), (N,).
         points: weighted mean of log(1 + points of the map in view), (N,).
         sigma_across_m: predicted horizontal standard deviation of fixes relative to the map,
-            geometric mean, (N,); NaN where there is no fix.
+            geometric mean, (N,); NaN where no fix has one.
         sigma_up_m: the vertical one.
     """
 
@@ -87,7 +87,7 @@ class Evidence(NamedTuple):
 
 
 class ViewResult(NamedTuple):
-    """The result of one view, from which evidence is pooled; sigmas are NaN without a fix."""
+    """The result of one view, from which evidence is pooled; unknown sigmas are NaN."""
 
     waypoint: int
     fix: bool

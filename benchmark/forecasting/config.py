@@ -56,7 +56,10 @@ class ForecastConfig(Config):
         description="Probability of a fix below which a waypoint belongs to a weak stretch.",
     )
     waypoints: int = Field(
-        30, ge=1, description="Number of waypoints of a flight that is not a mission plan."
+        30,
+        ge=1,
+        description="Number of waypoints of a flight that does not determine it; a mission plan "
+        "does.",
     )
     gap_m: float = Field(
         100.0,

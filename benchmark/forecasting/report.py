@@ -37,7 +37,7 @@ class Outlook(Record):
         probability: probability of a fix.
         false_risk: probability of a false fix.
         sigma_across_m: expected horizontal standard deviation of a fix relative to the map, metres;
-            None if no view of the waypoint or its neighbours had a fix.
+            None if no view of the waypoint or its neighbours had a fix with one.
         sigma_up_m: the vertical one.
         found: number of views of this waypoint with a fix.
         views: number of its views.
@@ -104,7 +104,8 @@ class Season(Record):
         verdict: whether the flight can rely on its fixes.
         share: mean probability of a fix.
         lowest: lowest probability.
-        longest_gap_m: longest distance between two likely fixes.
+        longest_gap_m: longest gap of a weak stretch, metres; without one, the longest distance
+            between successive waypoints.
         false_risk: mean probability of a false fix.
         sigma_across_m: median of the waypoints' horizontal standard deviations; None without any.
         sigma_up_m: the vertical one.

@@ -30,13 +30,14 @@ from simulate.twin.options import SiteConfig
 
 Array = NDArray[np.float64]
 
-# Origins of map and twin are taken as equal if their heights differ by at most this, metres.
+# The heights of the origins of a map and its twin differ by at most this, metres.
 _SAME_UP_M = 0.1
 # Standard deviation of the views' positions from the waypoint per axis (m), and of their attitudes
 # (deg).
 _DEVIATION_M: Final = 0.7
 _DEVIATION_DEG: Final = 1.5
 # A flight with more waypoints is refused, because its views would take hours to render.
+# ``_check_plan`` says which flights are not checked.
 _MOST_WAYPOINTS: Final = 300
 _SECONDS_PER_VIEW: Final = 3  # rough estimate of the rendering time
 
@@ -150,10 +151,13 @@ def _site_of(twin: Scene, scene: Scene) -> SiteConfig:
 
 
 def _check_plan(render_config: SimulateConfig, config: ForecastConfig) -> None:
-    """Check that a flight lies inside the site and has not too many waypoints.
+    """Check that a mission plan lies inside the site, and that a flight has not too many waypoints.
+
+    A flight that is no mission plan but determines its number of waypoints is not checked.
 
     Raises:
-        InputError: a waypoint lies outside, or there are more than ``_MOST_WAYPOINTS``.
+        InputError: a waypoint of a mission plan lies outside, or a flight has more than
+            ``_MOST_WAYPOINTS``.
     """
     session, area = render_config.sessions[0], render_config.area
     flight = session.flight

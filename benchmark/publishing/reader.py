@@ -171,7 +171,9 @@ def frames_of(folder: Path, rows: Sequence[Row]) -> Frames:
     """
     names = tuple(row["name"] for row in rows)
     for name, count in Counter(names).items():
-        if not name or count > 1:
+        if not name:
+            raise InputError(f"{folder}: a photograph has no name")
+        if count > 1:
             raise InputError(f"{folder}: photograph {name!r} is listed {count} times")
     try:
         arrays = {key: _array(rows, key, shape) for key, shape in FRAME_SHAPES.items()}

@@ -126,7 +126,7 @@ class SceneRows:
         """Return the photographs of a split, in the order of the scene's list.
 
         Raises:
-            InputError: a listed name is not a frame of the scene, or of the session that lists it.
+            InputError: a listed name is not a frame of the scene.
         """
         row_of = {
             name: FrameRow(name, session, row)

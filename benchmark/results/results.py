@@ -117,7 +117,7 @@ class Results(Record):
 def rescore(results: Results) -> Results:
     """Return the results with every figure recomputed from the list of queries.
 
-    Queries of earlier versions get the errors of their priors from the start.
+    Queries that lack the error of their prior get it where the name of the start states it.
     """
     queries = add_prior_errors(results.queries, results.start)
     summary = results.summary

@@ -1,9 +1,9 @@
 """Intervals of shares and means of queries, where queries of one course tend to fail together.
 
 Photographs of one course share light, weather, height, tilt and the ground below. An interval that
-takes them for independent is too narrow. If the recalls of 14 courses of 200 queries have a mean of
-90 % and a standard deviation of 5 points, it covers the truth in about half of all experiments
-instead of 95 %; ``tests/benchmark/scoring/test_intervals.py`` simulates this.
+takes them for independent is too narrow. If the recalls of 14 courses of 200 queries each have a
+mean of 90 % and a standard deviation of 5 points, it covers the truth in about half of all
+experiments instead of 95 %; ``tests/benchmark/scoring/test_intervals.py`` simulates this.
 """
 
 from __future__ import annotations

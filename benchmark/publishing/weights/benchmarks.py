@@ -65,11 +65,11 @@ def scores(
 ) -> dict[str, list[dict[str, Any]]]:
     """Return the scores on a published data set by the name of their file.
 
-    A score is the recall within 0.5 m and 5° in percent over all scenes of the data set. A data
-    set with a scene whose reference poses are too inexact for this threshold has no score.
+    A score is the recall within 0.5 m and 5° in percent over all scenes of the data set. Results
+    whose reference poses are too inexact for this threshold are left out.
 
     Raises:
-        InputError: no method has results of all scenes from one start.
+        InputError: no method has results of all scenes from one start that are not left out.
     """
     runs: dict[tuple[str, str], dict[str, Results]] = {}
     for each in evaluations:

@@ -70,7 +70,7 @@ def cells(queries: Sequence[BoardQuery]) -> Iterator[Cell]:
 def shared_cells(queries: Sequence[BoardQuery], runs: Sequence[BoardRun]) -> Iterator[Cell]:
     """Yield the cells, each with only those queries for which every run has a result.
 
-    A cell without such queries is left out. If every run has every query, nothing is yielded.
+    A cell without such queries is left out. If all runs have the same queries, nothing is yielded.
     """
     shared = np.array([run.has for run in runs]).all(axis=0)
     if np.array_equal(shared, np.array([run.has for run in runs]).any(axis=0)):

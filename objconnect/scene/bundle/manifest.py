@@ -58,7 +58,7 @@ FolderName = Annotated[str, AfterValidator(_folder)]
 
 
 class DeclaredChange(Record):
-    """The changes of a session's objects against other sessions, by object id.
+    """How a session's objects differ from those of the scene's seed, by object id.
 
     An id denotes one box of ``objects.json``: an object that moves gets a new id.
 
@@ -84,9 +84,9 @@ class Session(Record):
         role: whether the frames build the map, are queries, or both.
         change: how the objects differ from those of the scene's seed.
         readout_s: seconds between the readout of the top and the bottom row of an image; not zero
-            for a rolling shutter. A pose then belongs to the middle row. The velocity between rows
-            is the central difference of the positions. Each row of depth and the other layers
-            belongs to the pose of that row.
+            for a rolling shutter. A pose then belongs to the middle row. During the readout the
+            camera moves at constant velocity, the central difference of the frames' positions. Each
+            row of depth and the other layers belongs to the pose of that row.
         thermal: how thermal pictures of the same poses are coded; None without such pictures.
     """
 
@@ -121,8 +121,8 @@ class Manifest(Record):
         georeference: absolute accuracy of the origin, as ``ingest`` measured or the user stated it;
             None if the file has no such key. See ``effective_georeference``.
         sessions: sessions by folder name.
-        sha256: digest of every data file of the scene, by relative path; pictures and results have
-            none.
+        sha256: digest of every data file of the scene, with its photographs, by relative path; the
+            folders ``pictures`` and ``site``, and results, have none.
         pixels_sha256: digests of the decoded "image" and of each layer, by image name. They compare
             scenes that different library versions compressed.
     """
@@ -217,7 +217,7 @@ class Objects(Record):
 
     Attributes:
         classes: semantic label by class name.
-        objects: every object of the world.
+        objects: every object of the seed's world and of any session.
         surroundings: parts that cover the world without overlap; empty if it has none.
     """
 

@@ -28,7 +28,7 @@ class AddedPoint(Record):
 
     Attributes:
         id: identifier of the point in COLMAP's files.
-        object: number of the object; points of one object share it.
+        object: number of the object; ``add_to_map`` makes each point one object.
         confidence: 0..1, from the method that found the point.
     """
 

@@ -59,7 +59,7 @@ class Agreement:
     Attributes:
         residuals: distances (px) between start and return of the pixels that fall on the same
             object in the other frame.
-        compared_share: share of these pixels among all sampled pixels.
+        compared_share: share of these pixels among all sampled pixels with depth.
     """
 
     residuals: NDArray[np.float64]
@@ -78,7 +78,7 @@ class Agreement:
 
     @property
     def agreeing_share(self) -> float:
-        """Return the share of all sampled pixels that return within one pixel."""
+        """Return the share of all sampled pixels with depth that return within one pixel."""
         if not len(self.residuals):
             return 0.0
         return self.compared_share * float((self.residuals < _AGREEMENT_PX).mean())

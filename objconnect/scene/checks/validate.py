@@ -17,7 +17,7 @@ from objconnect.scene.checks.report import Check, Report
 from objconnect.scene.errors import InputError
 from objconnect.scene.storage.images import read_rgb
 
-# Number of consecutive, hence overlapping, frames that are read of each session.
+# Largest number of consecutive, hence overlapping, frames of a session whose depth is checked.
 _FRAMES_PER_SESSION = 24
 # Largest root mean square error of the priors, in stated standard deviations.
 _MAX_PRIOR_SIGMAS = 3.0

@@ -167,7 +167,8 @@ def add_points(model: Path, points: Sequence[NewPoint], out: Path) -> list[int]:
         COLMAP's identifiers of the new points.
 
     Raises:
-        InputError: the model is damaged, or an observation is in an image it does not have.
+        InputError: the model is damaged, an observation is in an image it does not have, or a point
+            lies behind an image that observes it.
     """
     native = _read_checked_model(model)
     images = {image.name: image for image in native.images.values()}

@@ -112,7 +112,8 @@ def triangulate_again(
 def _triangulate_added(model: pycolmap.Reconstruction, database: Path, added: set[int]) -> None:
     """Triangulate the points of images that were added to a map.
 
-    It triangulates, adjusts and filters in rounds, as COLMAP does for a whole map.
+    It triangulates once, then extends, merges, adjusts and filters points in rounds, as COLMAP does
+    for a whole map.
 
     Args:
         model: all images with their poses, and the points of the map.

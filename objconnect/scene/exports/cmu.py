@@ -99,7 +99,7 @@ def _name_cameras(sessions: Mapping[str, Frames]) -> dict[Camera, str]:
     if len(cameras) != len(CAMERAS):
         raise InputError(
             f"this format has two cameras, c0 and c1, and these sessions have {len(cameras)}: "
-            "simulate half of the sessions with another camera"
+            "simulate sessions with exactly two cameras"
         )
     if any(camera.is_fisheye for camera in cameras):
         raise InputError("this format cannot hold a fisheye, only OPENCV cameras: export as colmap")
@@ -112,7 +112,7 @@ def _convert_to_opencv(camera: Camera) -> Camera:
     Raises:
         InputError: the lens has coefficients that OPENCV lacks.
     """
-    distortion = coefficients(camera, ("k1", "k2", "p1", "p2"), "a tree of OPENCV cameras")
+    distortion = coefficients(camera, ("k1", "k2", "p1", "p2"), "the tree of Extended CMU Seasons")
     params = (*camera.focal, *camera.principal, *distortion.values())
     return Camera("OPENCV", camera.width, camera.height, params)
 

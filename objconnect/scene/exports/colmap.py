@@ -32,7 +32,8 @@ def write_with_database(
     Photographs that are not in the map have no features in the database. See ``formats.Writer``.
 
     Raises:
-        InputError: the scene has no map, or its features are missing or are not the map's.
+        InputError: the scene has no map or no covisibility, or its features are missing or are not
+            the map's.
     """
     sparse_map, features = read_map_features(scene)
     images = _images(sessions)

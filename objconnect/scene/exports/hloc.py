@@ -1,8 +1,8 @@
 """Export to hloc: the list of queries, pairs of photographs to match, and the map's features.
 
 ``queries_with_intrinsics.txt`` has lines "name MODEL width height params...". ``pairs-map.txt``
-lists the covisible frames of the map. ``pairs-query.txt`` pairs each query with the map frames that
-see the largest shares of its surface; this is perfect retrieval, an upper bound.
+lists the pairs of covisible frames of the map. ``pairs-query.txt`` pairs each query with the map
+frames that see the largest shares of its surface; this is perfect retrieval, an upper bound.
 
 ``features.h5`` and ``matches.h5`` have the layout of hloc's ``extract_features`` and
 ``match_features``. A photograph is a group with ``keypoints`` (N, 2), whose origin is the centre of
@@ -72,7 +72,8 @@ def write_features(scene: Scene, sessions: Mapping[str, Frames], folder: Path, f
     """Write the features and matches of the map, and its pairs; see ``formats.Writer``.
 
     Raises:
-        InputError: the scene has no map, or its features are missing or are not the map's.
+        InputError: the scene has no map or no covisibility, or its features are missing or are not
+            the map's.
     """
     sparse_map, features = read_map_features(scene)
     count = len(sparse_map.names)

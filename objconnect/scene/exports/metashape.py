@@ -34,8 +34,8 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
     """Write ``cameras.xml``; see ``formats.Writer``.
 
     Raises:
-        InputError: photographs of two sessions have the same file name, or a lens has a rational
-            distortion (k4, k5 or k6).
+        InputError: two photographs have the same label, a label has white space, or a lens has a
+            rational distortion (k4, k5 or k6).
     """
     names, origin = flat_names(sessions, stems=True), scene.manifest.origin
     cameras = list(dict.fromkeys(c for frames in sessions.values() for c in frames.cameras))

@@ -27,8 +27,8 @@ def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Pat
     """Write the two files; see ``formats.Writer``.
 
     Raises:
-        InputError: photographs of two sessions have the same file name, or a lens has a rational
-            distortion (k4, k5 or k6).
+        InputError: two photographs have the same file name, a file name has white space, or a lens
+            has a rational distortion (k4, k5 or k6).
     """
     from objconnect.scene.geometry.pose import so3_log
 

@@ -1,8 +1,9 @@
 """Export to GIS: an orthophoto and a surface model as GeoTIFFs on the same grid.
 
 ``orthophoto.tif`` has 8-bit colours and an alpha band; ``dsm.tif`` holds the height of the highest
-surface of each pixel, metres above the ellipsoid. Both are fused from the depth of the photographs:
-exact in simulated scenes, else estimated by ``dense``.
+surface of each pixel, metres above the ellipsoid, or above the height reference of the chosen
+system if it has one. Both are fused from the depth of the photographs: exact in simulated scenes,
+else estimated by ``dense``.
 """
 
 from __future__ import annotations
@@ -47,7 +48,6 @@ _MOST_PIXELS = 1 << 32
 _FOOTPRINT_STEP = 8
 
 
-# More than six parameters: four are those of every writer, two are options of this format.
 def write(
     scene: Scene,
     sessions: Mapping[str, Frames],

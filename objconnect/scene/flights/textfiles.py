@@ -65,7 +65,7 @@ def read_poses(
     Raises:
         InputError: the file cannot be read, or a line has the wrong number of columns, a value
             that is not a finite number, a quaternion off unit length by more than 0.001, a camera
-            that is not on earth, or a repeated name.
+            that is not on earth, a rounding error above ``max_rounding_m``, or a repeated name.
     """
     poses: dict[str, Pose] = {}
     for where, line in _lines(path, "pose file"):

@@ -82,8 +82,8 @@ class Raster:
 
         Args:
             path: file. An orthophoto has 8-bit bands marked red, green and blue, or one band of
-                grey or of a palette. A surface model has one band of heights and is read once as a
-                whole. A class mask has one 8-bit band.
+                grey or of a palette. A surface model has one band of heights, which is searched for
+                no-data heights that the file does not declare. A class mask has one 8-bit band.
             kind: required kind.
 
         Raises:
@@ -227,7 +227,7 @@ class Raster:
 
         Args:
             rows: height of a strip, pixels.
-            every: step between the strips that are read.
+            every: one strip in this many is read.
 
         Raises:
             InputError: the file is damaged.

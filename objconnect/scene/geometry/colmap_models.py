@@ -1,8 +1,8 @@
 """Conversion of COLMAP's camera models to equal models of this project.
 
 A fisheye with fewer coefficients is an OPENCV_FISHEYE with zeros. A model with more coefficients
-equals a smaller model if the additional ones are zero: FULL_OPENCV then equals OPENCV. Other models
-are errors: no camera is approximated.
+equals a smaller model if the additional ones are zero: FULL_OPENCV then becomes OPENCV, and else
+stays as it is. A model that equals no supported one is an error: no camera is approximated.
 """
 
 from __future__ import annotations

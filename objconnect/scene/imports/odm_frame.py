@@ -154,7 +154,9 @@ def _take_from_sibling(
 
 
 def _is_transformed(projected: Array, enu_poses: Array) -> bool:
-    """Return whether a vertical rotation, a shift and a scale near one map the two sets of poses.
+    """Return whether the two sets of poses differ by a turn about the vertical, shift and scale.
+
+    The scale must be near one.
 
     Args:
         projected: (N, 4, 4) world_from_cam.
@@ -242,7 +244,7 @@ def _undo_transform(shots: Shots, linear: Array, shift: Array) -> Shots:
 
 
 def _check_without_coords(path: Path, shots: Shots, stated: CoordinateFrame | None) -> Shots:
-    """Check the frame of a file that has no coords.txt beside it or whose name states the frame."""
+    """Check the frame of a file without ODM's coords.txt, or of the file ``TOPOCENTRIC``."""
     _require_near_origin(path, shots)
     zone = utm_zone(shots.origin.longitude)
     grid = f"a UTM grid, such as zone {zone}"

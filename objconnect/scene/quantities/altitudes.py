@@ -30,8 +30,9 @@ _REFERENCES: Final = (0, 1, 2, 3)
 def read_altitude(gps: Mapping[str, object], xmp: Mapping[str, str]) -> Reading[float]:
     """Return the altitude of a photograph, metres.
 
-    EXIF takes precedence over XMP. The altitude is unknown if the two differ by more than sea level
-    and ellipsoid can. A height above the take-off is not used.
+    EXIF takes precedence over XMP unless it lacks ``GPSAltitudeRef``. The altitude is unknown if
+    the two differ by more than sea level and ellipsoid can. A height above the take-off is not
+    used.
 
     Args:
         gps: fields of EXIF's GPS directory by name.

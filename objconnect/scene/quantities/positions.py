@@ -30,7 +30,7 @@ _XMP: Final = (
     ("Latitude", ("Longitude",)),
     ("GPSLatitude", ("GPSLongitude",)),
 )
-# The only field whose values have a letter instead of a sign.
+# The latitude of the only pair of fields whose values have a letter instead of a sign.
 _LETTERED: Final = "GPSLatitude"
 # Datums that lie within a few metres of each other.
 _DATUMS: Final = (
@@ -60,7 +60,7 @@ def read_position(gps: Mapping[str, object], xmp: Mapping[str, str]) -> Reading[
         return from_exif
     if from_exif.value is not None or from_xmp.value is None:
         return from_exif.with_doubts(*from_xmp.doubts)
-    # EXIF lacks a hemisphere: compare XMP's position with EXIF's without signs.
+    # EXIF's position is unknown, for example without hemispheres: compare XMP's with its numbers.
     unsigned_exif = [
         read_degrees(gps.get(axis.tag), axis).value if axis.tag in gps else None
         for axis in (LATITUDE, LONGITUDE)

@@ -36,8 +36,8 @@ _MAX_HEAP_BLOCK_BYTES: Final = 1 << 25
 # MADV_DONTNEED of madvise.
 _DONTNEED: Final = 4
 # oneDNN, torch's library on CPUs, compiles a convolution for each image size and caches the last
-# 1024: about 100 MB after fifty photographs rotated by different angles. A cache for one or two
-# sizes suffices: recompiling takes 2 to 5 % of a query. oneDNN reads the variable before the first
+# 1024: about 100 MB after fifty photographs rotated by different angles. The 32 of one or two image
+# sizes suffice: recompiling takes 2 to 5 % of a query. oneDNN reads the variable before the first
 # convolution of the process.
 _CONVOLUTION_CACHE: Final = ("ONEDNN_PRIMITIVE_CACHE_CAPACITY", "32")
 

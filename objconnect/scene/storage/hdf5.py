@@ -24,8 +24,8 @@ def dataset(group: h5py.Group, name: str) -> h5py.Dataset:
 
     Raises:
         KeyError: the group has no member of this name.
-        ValueError: the member is not a data set, is empty, lies in another file, has elements of
-            variable length, or claims more than its bytes can hold.
+        ValueError: the member is not a data set, has no shape (HDF5's null data space), lies in
+            another file, has elements of variable length, or claims more than its bytes can hold.
     """
     member = _member(group, name)
     if not isinstance(member, h5py.Dataset):
