@@ -34,11 +34,12 @@ def validate(path: Path, cache: Path | None = None) -> Report:
     """Check the conventions of a scene or a flight.
 
     Args:
-        path: folder of the scene or flight.
+        path: folder of the scene or flight. Other data sets of ``open_datasets`` are checked like
+            flights.
         cache: folder for the features of a flight's map; None keeps none.
 
     Raises:
-        InputError: the path is neither a scene nor a flight, or a file cannot be read.
+        InputError: the path is no data set, or a file cannot be read.
     """
     if is_scene(path):
         return validate_scene(path)

@@ -14,7 +14,8 @@ from objconnect.scene.bundle.thermal import counts_path
 from objconnect.scene.storage.digests import sha256
 from objconnect.scene.storage.images import read_counts, read_rgb
 
-# A frame's surface is sampled at a grid of 16 x 16 points, so that shares are multiples of 1/256.
+# A frame's surface is sampled at a grid of 16 x 16 points. Shares are multiples of 1/256 in a frame
+# without sky, and coarser in a frame with sky, whose points do not count.
 _PER_SIDE = 16
 
 

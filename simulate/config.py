@@ -54,7 +54,7 @@ class SessionConfig(Config):
         ge=1,
         le=MAX_PHOTOGRAPHS,
         description="Number of photographs. None takes the scene's ``frames``, or the number that "
-        "the flight's overlaps need.",
+        "the flight itself determines by overlaps, a mission plan or recorded poses.",
     )
     change: Change = Field(
         Change(), description="Objects that are moved, removed or added in this session."
@@ -161,8 +161,8 @@ class SimulateConfig(Config):
         200.0,
         ge=LEAST_SITE_M,
         le=MAX_TILED_SIDE_M,
-        description="Side of the square place, m; at least 120, or 40 for a site. A place of more "
-        "than 2000 m consists of tiles, which are built where photographs show them.",
+        description="Side of the square place, m; at least 120, or 40 for a site. A procedural "
+        "place of more than 2000 m consists of tiles, which are built where photographs show them.",
     )
     size: int = Field(
         512,
@@ -337,7 +337,7 @@ class SimulateConfig(Config):
 
     @staticmethod
     def load(path: Path | None, overrides: Mapping[str, Any]) -> SimulateConfig:
-        """Load a configuration from a YAML file and overrides; see ``config.load_config``.
+        """Load a configuration from a YAML file and overrides, which ``load_config`` describes.
 
         Overrides that are None are ignored.
 

@@ -120,8 +120,9 @@ class NumberedTiles(NamedTuple):
 
     Attributes:
         objects: The objects of all sessions, by ascending id.
-        worlds: The world of each session, with these objects. Its heights are those of the tiles.
-        ids: The ids of the tiles in each session.
+        worlds: The world of each session, with those of these objects that the session has. The
+            ground of a world has the heights of the tiles.
+        ids: For each session, the ids of each tile's objects.
     """
 
     objects: tuple[WorldObject, ...]

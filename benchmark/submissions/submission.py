@@ -81,7 +81,8 @@ class Card(Record):
         trained_on: data that it was trained on.
         start: information that it had on each query besides the image, one of the track's starts.
         hardware: machine that it ran on, and seconds per query; None if not stated.
-        datasets: digest of each data set, as ``objconnect track`` and results files show it.
+        datasets: digest of each data set, all 64 digits, as ``objconnect track --json`` and results
+            files show it.
     """
 
     track: _Line

@@ -110,7 +110,8 @@ def add_photographs(
 
     The frames of the scene keep their poses, cameras and files. New photographs are registered in
     its map by feature matches. Positions are optional: they choose the pairs to match, and become
-    priors. A photograph from a lens of the scene takes the scene's camera of that lens.
+    priors. Without ``camera``, a photograph from a lens of the scene takes the scene's camera of
+    that lens.
 
     Args:
         photographs: folder of the new photographs.
@@ -118,7 +119,8 @@ def add_photographs(
         out: new folder, or one left by a run of the same scene, photographs and options.
         settings: size, split and options of the run.
         gps: table of positions that replace those in EXIF.
-        camera: calibration of the new photographs.
+        camera: calibration of all new photographs; None takes the scene's cameras of known lenses,
+            and EXIF for the others.
 
     Raises:
         InputError: none of the photographs is new, readable and matched to the map; the scene is

@@ -50,7 +50,7 @@ class AdjustedModel:
         model: The adjusted model, in world metres.
         georegistration: The georegistration before the adjustment. Its ``level`` is "control" if
             the model was adjusted to control points.
-        refined: The lenses whose parameters were adjusted.
+        refined: The lens parameters that were adjusted.
         delay: Seconds by which fixes lag behind the photographs; 0 where unknown.
         undelayed_fixes: Fixes (3,) with the delay removed, by name, world metres; empty without a
             delay.

@@ -75,7 +75,8 @@ class _Source:
         fixes: measured positions (3,) by name, world metres.
         queries: names of the queries.
         imported: poses of another program; None for structure from motion.
-        control: ground control points, with marks in the photographs of the folder.
+        control: ground control points. Their marks have the scale of the photographs in the scene,
+            but are not rotated with them.
     """
 
     folder: Path
@@ -132,9 +133,10 @@ def ingest(
         options: which photographs are matched, and standard deviations of GPS and ground control.
 
     Raises:
-        InputError: fewer than three photographs can be read, have positions or overlap; ``out``
-            holds other files, cannot be written or is being written by another run; or for the
-            reasons of ``add_photographs``.
+        InputError: fewer than three photographs can be read, have positions or overlap; the files
+            of ``gps``, ``poses`` or ``gcp`` cannot be used; arguments contradict each other;
+            ``out`` lies in ``photographs``, holds other files, cannot be written or is being
+            written by another run; or for the reasons of ``add_photographs``.
     """
     if photographs.resolve() in (out.resolve(), *out.resolve().parents):
         raise InputError(f"{out} lies in the folder of photographs: choose a folder outside it")

@@ -45,8 +45,9 @@ class ControlResidual(BaseModel):
         role: "used" in the adjustment; a "check" point; "wrong", which contradicts the others and
             is not used; "unseen", with fewer than two marks, or marks whose rays do not meet.
         marks: number of marks in photographs of the scene.
-        off: triangulated minus surveyed position, metres east, north and up.
-        mark_px: root mean square reprojection error of the marks, pixels.
+        off: triangulated minus surveyed position, metres east, north and up; None if the marks
+            cannot be triangulated.
+        mark_px: root mean square reprojection error of the marks, pixels; None like ``off``.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)

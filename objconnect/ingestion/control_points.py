@@ -34,10 +34,10 @@ class ControlPoint:
 
     Attributes:
         name: name in the list, or "point" with its number there.
-        geodetic: surveyed coordinates; the height is ellipsoidal unless the list's system has
-            other heights.
+        geodetic: surveyed coordinates. Heights of a system with heights are converted to the
+            ellipsoid; those of a two-dimensional system are taken as ellipsoidal.
         check: whether it is a check point, which does not take part in the adjustment.
-        marks: (2,) COLMAP pixels by name of the photograph.
+        marks: (2,) COLMAP pixels at the photograph's size in the scene, by name of the photograph.
     """
 
     name: str
@@ -63,7 +63,8 @@ def read_control_points(
 
     Raises:
         InputError: the list cannot be read, names no coordinate system, has a bad line or one name
-            for two points, or lacks the photographs or ``checks``; pyproj is not installed.
+            for two points, or lacks the photographs or ``checks``; its points are not on earth or
+            far from the photographs; pyproj is not installed.
     """
     header, *lines = read_text(path, "list of ground control points").split("\n")
     rows = [

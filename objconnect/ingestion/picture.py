@@ -77,7 +77,10 @@ def draw(
 
 
 def _magnification(centres: NDArray[np.float64], offsets: NDArray[np.float64]) -> int:
-    """Return the power of ten that scales the longest arrow to at most a quarter of the flight."""
+    """Return the power of ten that scales the longest arrow to at most a quarter of the flight.
+
+    It is 1 if the arrow is longer than that already.
+    """
     extent = float(np.ptp(centres[:, :2], axis=0).max())
     longest = max(float(np.linalg.norm(offsets[:, :2], axis=1).max(initial=0)), 1e-3)
     return int(10 ** max(np.floor(np.log10(max(0.25 * extent / longest, 1))), 0))

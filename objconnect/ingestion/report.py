@@ -266,7 +266,7 @@ def make_report(
     Args:
         photographs: photographs that structure from motion received.
         flight: photographs of the model, and the files that were left out with reasons.
-        adjusted: the model of all photographs in the world.
+        adjusted: the model of map photographs and queries, in world metres.
         fixes: measured positions by name, world metres.
         sparse_map: the map, triangulated from the map photographs.
         findings: results of checking gimbals, ground control points and fixes.

@@ -71,7 +71,7 @@ def open_unfinished(out: Path, record: RunRecord) -> ResumableFolder:
 
 
 def is_finished(out: Path, record: RunRecord) -> bool:
-    """Return whether the folder holds the finished scene of a record; refuse any other content."""
+    """Return whether the scene of a record in a folder is finished; refuse any other content."""
     unfinished = open_unfinished(out, record)
     if (out / MANIFEST).is_file():
         if read_run_record(Scene.open(out).manifest) != record:

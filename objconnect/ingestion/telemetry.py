@@ -225,8 +225,8 @@ class _Heights:
     def read_above_sea_level(self, caption: Caption) -> float | None:
         """Return the altitude above sea level, metres.
 
-        It is a field, or the third number of a pair with letters. The third number of other pairs
-        counts satellites, or has no known datum.
+        It is a field, or the third value of a ``GPS`` tuple with letters, if it has a unit. The
+        third value of other tuples counts satellites, or has no known datum.
         """
         height = self.read_first(caption, _ABS_ALTS)
         parts = split_tuple(caption.tuples.get("gps", ""))

@@ -126,7 +126,8 @@ def _identity(maps: Tensor) -> tuple[Tensor]:
 def _spans(needed: NDArray[np.bool_] | None) -> NDArray[np.int64] | None:
     """Return the needed columns (h, 2) of each row: the first, and one past the last.
 
-    They are w and 0 in rows without a needed cell.
+    They are w and 0 in rows without a needed cell. The result is None, which stands for all cells,
+    if ``needed`` is None or has no needed cell.
 
     Args:
         needed: cells (h, w), or None for all.

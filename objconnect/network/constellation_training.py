@@ -220,7 +220,8 @@ def train_graph(
             scene, queries = usable[rng.integers(len(usable))]
             left_out = rng.uniform(0, _MISSING_LANDMARKS)
             kept = np.flatnonzero(rng.random(len(scene.landmarks)) >= left_out)
-            # Rows after landmarks are left out. The last entry, at -1, is for no landmark.
+            # Row of each landmark among the kept ones, -1 if it is left out. The last entry is for
+            # index -1, which is no landmark.
             new_row = np.full(len(scene.landmarks) + 1, -1)
             new_row[kept] = np.arange(len(kept))
             landmark_vectors = describe_landmarks(graph, scene.landmarks.select(kept))

@@ -190,7 +190,8 @@ def label_map(maps: DetectorMaps, found: Detections, stride: int, cell: int) -> 
     """Return the row of the object of each cell of the first image, (h, w) int64, or ``NOTHING``.
 
     A cell inside an object belongs to the centre nearest to the position to which its offset
-    points.
+    points. If that centre is farther away than half the side of its object (or 1.5 cells of the
+    maps, if that is more), the cell has no object.
 
     Args:
         maps: maps of the detector.

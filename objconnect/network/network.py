@@ -167,7 +167,8 @@ class ObjConnectNet(nn.Module):
     ) -> tuple[list[Level], Objects | None]:
         """Return the results of both ``forward`` and ``objects`` in one pass.
 
-        The objects are None if the network has none. Arguments are those of ``forward``.
+        The objects are None if the network has none, or if ``levels`` leaves out the finest level
+        that has objects. Arguments are those of ``forward``.
         """
         if not self._object_levels:
             return list(islice(self._levels(image, needed), levels)), None

@@ -1,8 +1,9 @@
 """Hypotheses of a camera's pose from pairs of objects and pairs of landmarks, in closed form.
 
 On level ground, two objects of a photograph and the two landmarks that they are matched with give
-the heading, the height and the position of the camera. A hypothesis is scored by the landmarks that
-lie near all objects, so that few of the matches need be right. Nothing is sampled at random.
+the heading, the height and the position of the camera. A hypothesis is scored by all objects, each
+by its distance from the nearest landmark and their similarity, so that few of the matches need be
+right. Nothing is sampled at random.
 """
 
 from __future__ import annotations
@@ -63,7 +64,8 @@ class GroundPoses(NamedTuple):
     The real axis points to the east, the imaginary one to the north.
 
     Attributes:
-        turn: (H,) height above the ground, metres, times ``exp(-i * heading)``.
+        turn: (H,) height above the ground, metres, times ``exp(-i * heading)``. The heading is
+            clockwise from that for which the objects were laid out.
         place: (H,) position of the camera, metres.
     """
 
@@ -85,7 +87,7 @@ class Bounds:
     """Poses that are allowed.
 
     Attributes:
-        headings: radians; headings near one of these are allowed.
+        headings: radians, as in ``GroundPoses``; headings near one of these are allowed.
         heights: metres; heights near or between these are allowed.
         region: centre (east, north) and radius, metres; None for everywhere.
     """

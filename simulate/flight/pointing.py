@@ -93,7 +93,10 @@ class Gimbal:
         self.aim, self.turning_s = aim, 0.0
 
     def cancel(self) -> bool:
-        """Return to the default angles after a region; return whether the plan had set others."""
+        """Return to the default angles if the camera looks at a region or towards a waypoint.
+
+        Return whether it did and had other angles before, which are lost.
+        """
         had_others = self._angles_before != self._default
         if isinstance(self.aim, Region | TowardsNext):
             self.aim, self._angles_before = self._default, self._default

@@ -25,8 +25,8 @@ class Vehicle:
         home: Latitude and longitude, degrees.
         autopilot: MAV_AUTOPILOT.
         kind: MAV_TYPE.
-        hover_m_s: Speed of an aircraft that hovers.
-        cruise_m_s: Speed of an aircraft in forward flight.
+        hover_m_s: Speed of an aircraft that can hover, outside of forward flight.
+        cruise_m_s: Speed of a plane, or of a VTOL aircraft in forward flight.
         is_forward: Whether a VTOL aircraft is in forward flight.
         commanded_m_s: Speed set by the mission.
     """

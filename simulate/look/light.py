@@ -13,7 +13,7 @@ from simulate.look.conditions import Condition
 
 
 def add_light(data: Any, scene: Any, condition: Condition) -> None:
-    """Add the sun, and a sky that is brighter towards the horizon.
+    """Add the sun, or the moon by night, and a sky that is brighter towards the horizon.
 
     Args:
         data: ``bpy.data``.

@@ -15,7 +15,7 @@ from simulate.place.styles import chalet_style
 
 
 def chalets(builder: PlaceBuilder, block: Block) -> None:
-    """Place chalets along both streets on one meadow, with spruces between them."""
+    """Place chalets along both streets on one meadow, with trees, mostly conifers, between them."""
     rng = builder.rng
     length, depth = block.length, block.depth
     frame = block.front(1)

@@ -113,7 +113,10 @@ def building(
 
 
 def tree_spec(builder: PlaceBuilder, radius: float, conifers: float) -> ObjectSpec:
-    """Draw a tree with a crown of ``radius`` metres, with probability ``conifers`` a conifer."""
+    """Draw a tree with a crown of ``radius`` metres.
+
+    With probability ``conifers`` it is a conifer, whose crown has three quarters of that radius.
+    """
     rng = builder.rng
     value, warm = rng.uniform(0.75, 1.3), rng.uniform(0.88, 1.18)
     colour = (value * warm, value, value)

@@ -1,8 +1,8 @@
 """Tiled places: kilometres of one kind of place, of which only the tiles near a camera are built.
 
-A tile is bounded by roads, half of which it lays itself, so that it joins its neighbours without
-knowing them. Terrain is continuous across the borders. Objects lie in one tile each. Equal plans,
-seeds and sides give equal tiles, in any order and in any process.
+A tile is bounded by roads. Of each, it lays the half on its own side of the border, so that it
+joins its neighbours without knowing them. Terrain is continuous across the borders. Objects lie in
+one tile each. Equal plans, seeds and sides give equal tiles, in any order and in any process.
 """
 
 from __future__ import annotations

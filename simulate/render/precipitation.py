@@ -80,9 +80,10 @@ def precipitate(
 
 
 def _particle_rgb(condition: Condition) -> Array:
-    """Return the colour (3,), sRGB bytes, of a surface as bright as the sky near the horizon.
+    """Return the colour (3,), in 0..255 sRGB, of a surface as bright as the sky near the horizon.
 
-    The renderer's tone curve is approximated by 1 - exp(-1.1 x).
+    At night the surface is lamplit, and ``_NIGHT_LIGHT`` times as bright. The renderer's tone curve
+    is approximated by 1 - exp(-1.1 x).
     """
     light = np.array(condition.sky.horizon) * condition.sky.strength * 2**condition.exposure
     shown = 1 - np.exp(-1.1 * light * (1.0 if condition.night is None else _NIGHT_LIGHT))

@@ -40,7 +40,7 @@ class TileIds(BaseModel):
 
     Attributes:
         offset: What is added to the tile's own ids.
-        first_new_id: First own id of objects that the session's change adds.
+        first_new_id: First own id of objects that the session's change moves or adds.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)

@@ -243,6 +243,7 @@ def _notes(files: Files, report: SiteReport) -> tuple[str, ...]:
         )
     if report.sun is None:
         notes.append(
-            "shadows of the orthophoto remain: give the time of its photographs by --taken"
+            "shadows of the orthophoto remain, because the sun was too low or the time of its "
+            "photographs is unknown: give it by --taken"
         )
     return tuple(notes)

@@ -19,9 +19,10 @@ class SiteReport(BaseModel):
         margin_m: width of the strip around the place in which the sources have data, metres.
         closed: share of the place without heights, which were interpolated.
         holes: share of the place without colours, which were interpolated.
-        classes: share of the place by class.
-        sun: azimuth and elevation of the sun in the orthophoto, degrees; None if unknown.
-        shade: share of the place in the shade.
+        classes: share of the place, with its margin, by class.
+        sun: azimuth and elevation of the sun in the orthophoto, degrees; None if unknown, or too
+            low to locate shadows.
+        shade: share of the place, with its margin, in the shade; 0 if ``sun`` is None.
         gain: mean factor by which shadows were brightened.
         notes: remarks for the user, a line each.
     """

@@ -25,7 +25,7 @@ _MIN_PHOTOGRAPHS = 8  # minimum number of photographs of a site
 # Photographs lie on one line if their extent across it is below this share of the extent along it.
 _THIN_SHARE = 0.12
 _GROUND_CELLS = 64  # cells along a side of the grid whose median is the height of the ground
-_MAX_SIDE_M = 2000.0  # maximum side of a site
+_MAX_SIDE_M = 2000.0  # maximum side of a site if it is derived from rasters or photographs
 
 
 class Files(NamedTuple):

@@ -126,7 +126,8 @@ def photograph_orthophoto(
         dsm: GeoTIFF of heights; it may have another reference system and resolution.
         out: new or empty folder.
         undulation: height of the geoid above the ellipsoid, metres, for a surface model with
-            heights above sea level; 0 means heights above the ellipsoid.
+            heights above sea level; 0 means heights above the ellipsoid. None is taken as 0, and
+            a note says so if the file does not state what its heights are above.
         options: altitude, overlap, tilt and size of the views.
         origin: origin of the world; by default in the middle of the orthophoto, at the
             mean height of the surface model.

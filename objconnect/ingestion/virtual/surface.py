@@ -236,7 +236,8 @@ def _sample(values: Tensor, x: Tensor, y: Tensor, mode: str) -> Tensor:
 class _Parabolas(NamedTuple):
     """Rays in a surface model as quadratic functions of depth, coefficients (3, N) float32 each.
 
-    The rows are normalised coordinates x and y, and height in metres above the model's zero.
+    The rows are normalised coordinates x and y, and height in metres above ``zero``, the lowest
+    point of the patch.
     """
 
     constant: Tensor

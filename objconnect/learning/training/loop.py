@@ -88,7 +88,7 @@ class _PairDataset(Dataset[Pair]):
 
 
 class _BatchIndices:
-    """The indices of the pairs of steps ``first`` to ``last``, batch by batch, for one process.
+    """The indices of the pairs of steps ``first`` to ``last`` - 1, batch by batch, for one process.
 
     ``rank`` is the number of the process among ``world`` processes.
     """
@@ -110,9 +110,9 @@ class PairSources:
     """The sources of the pairs of a run.
 
     Attributes:
-        rendered: pairs of scenes.
+        rendered: pairs of frames of the scenes.
         photographs: pairs made of single photographs; None for none.
-        validation: pairs of validation scenes; None for no validation.
+        validation: pairs of frames of validation scenes; None for no validation.
     """
 
     rendered: PairSource
@@ -151,8 +151,8 @@ def train_loop(
         The file of the weights.
 
     Raises:
-        InputError: ``out`` belongs to another run, holds other files or cannot be written, or a
-            data loading process died.
+        InputError: ``out`` belongs to another run, holds other files, has a damaged checkpoint or
+            log, or cannot be written; or a data loading process died.
     """
     device = torch_device(config.device)
     rank, world = join(device)
@@ -300,7 +300,7 @@ def _validate(
     device: torch.device,
     progress: float,
 ) -> dict[str, float]:
-    """Return the means of the logged values over the validation pairs, the same at every call."""
+    """Return the means of the logged values over pairs that are the same in each validation."""
     method.network.eval()
     rng_state = torch.random.get_rng_state()
     torch.manual_seed(_VALIDATION_SEED)

@@ -31,7 +31,8 @@ from objconnect.scene.geometry.pose import so3_exp
 from objconnect.scene.storage.images import read_rgb
 from objconnect.scene.storage.listing import PHOTOGRAPHS, list_files
 
-# Mean height (m) of the virtual cameras above the ground.
+# Distance (m) of the virtual cameras to the ground along the optical axis. Each camera has 0.85 to
+# 1.2 times this distance.
 _HEIGHT_M: Final = 80.0
 # Largest tilt of the virtual cameras about each axis.
 _TILT_DEG: Final = 15.0

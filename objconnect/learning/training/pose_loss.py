@@ -11,11 +11,11 @@ from torch import Tensor
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.projection import Intrinsics
 
-# Upper bound (px) of the error of a level in the loss.
-_CLAMP_PX: Final = 50.0
-# A level adds to the loss only if the error after the coarser level is less than this many cells
-# of the coarser level.
-_NEAR_CELLS: Final = 3.0
+# Upper bound of the ``reprojection_error`` of a level in the loss.
+_MAX_ERROR: Final = 50.0
+# A level adds to the loss only if the ``reprojection_error`` after the coarser level is less than
+# this many strides of the coarser level.
+_NEAR_STRIDES: Final = 3.0
 # Least number of points of a pair that adds to the loss.
 _MIN_POINTS: Final = 10
 
@@ -72,9 +72,10 @@ def pose_loss(
 ) -> tuple[Tensor, list[Tensor]]:
     """Return the loss of a batch, and the ``reprojection_error`` (B,) after each level.
 
-    Each level has the same weight, and errors are clamped to 50 pixels. A level is used only if the
-    error after the coarser level is less than three cells of the coarser level, because finer
-    features cannot correct larger errors. Pairs with fewer than ten points are left out.
+    Each level has the same weight, and its ``reprojection_error`` is clamped to 50. A level is used
+    only if that error after the coarser level is less than three times the stride of the coarser
+    level, because finer features cannot correct larger errors. Pairs with fewer than ten points add
+    zero to the mean.
 
     Args:
         level_poses: poses after each level, coarse to fine. No gradient flows between levels.
@@ -87,6 +88,6 @@ def pose_loss(
     used = enough
     total = torch.zeros_like(errors[0])
     for error, stride in zip(errors, strides, strict=True):
-        total = total + torch.where(used, error.clamp(max=_CLAMP_PX), 0) / len(errors)
-        used = enough & (error < _NEAR_CELLS * stride)
+        total = total + torch.where(used, error.clamp(max=_MAX_ERROR), 0) / len(errors)
+        used = enough & (error < _NEAR_STRIDES * stride)
     return total.mean(), [error.detach() for error in errors]

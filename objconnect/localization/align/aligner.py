@@ -34,8 +34,10 @@ class Alignment:
         pose: ``cam_from_world``, float64; if alignment failed, the last pose before the failure.
         level_poses: the pose after each level, coarse to fine; the last is ``pose``.
         covariance: covariance (..., 6, 6) of the left tangent, rotation (rad) then translation (m);
-            infinite on the diagonal where the points do not determine the pose.
-        cost: (...) mean robust cost of the points in view on the finest level.
+            infinite on the diagonal where alignment failed, where the points do not determine the
+            pose, or if ``align`` ran without covariances.
+        cost: (...) mean robust cost of the points in view on the finest level; infinite where
+            alignment failed.
         iterations: (...) number of steps tried, over all levels.
         points_in_view: (...) number of points in view on the last level that was reached.
         failure: (...) 0, or a number that tells why alignment failed: see ``reason``.

@@ -96,7 +96,7 @@ class PoseUncertainty:
         curvature: (B,) geometric mean of the curvature of the cost over six directions, as a share
             of Gauss-Newton's, at most 1; 0 where the points do not determine a pose.
         depth: (B,) median depth of the points in view, metres; zero without any.
-        patches: (B,) number of patches of the image with points in view.
+        patches: (B,) number of patches of the image with points in view, the mean of four grids.
         view_cosine: (B,) mean cosine of the angle between the directions in which the query and the
             reference images see the points in view; 1 if the reference images are unknown.
         informative_cost_ratio: (B,) mean cost of the points, weighted by their information on the

@@ -47,7 +47,8 @@ _MERGE_ITERATIONS: Final = 4
 _ROUGH_CONVERGENCE: Final = 8.0
 # Mean distance of projected points (cells) below which poses are the same.
 _SAME_POSE_CELLS: Final = 0.5
-# Number of cells over which the cost by chance is averaged.
+# Least number of cells over which the cost by chance is averaged, if the picture has that many.
+# Fewer than twice as many are used.
 _CHANCE_CELLS: Final = 256
 
 

@@ -73,7 +73,10 @@ class CoarseSearchOptions(TiltOptions):
     """Options of the coarse search."""
 
     candidates: int = Field(
-        16, ge=0, description="Maximum number of candidates; 0 for no coarse search."
+        16,
+        ge=0,
+        description="Maximum number of candidates at the known attitude or first tilt, and again "
+        "at all other tilts together; 0 for no coarse search.",
     )
 
 

@@ -42,7 +42,7 @@ class TiltOptions(Config):
 def tilt_rotations(tilts_deg: Sequence[float]) -> list[Tensor]:
     """Return rotations (3, 3) that tilt a camera which looks straight down, in its own axes.
 
-    A tilted camera looks ahead: the ground is at the bottom of its picture.
+    A tilted camera looks ahead: nearer ground is lower in its picture.
     """
     radians = (math.radians(degrees) for degrees in tilts_deg)
     return [so3_exp(torch.tensor([-tilt, 0.0, 0.0]).double()) for tilt in radians]
@@ -56,8 +56,8 @@ def has_attitude(prior: Prior | None) -> bool:
 def possible_headings(prior: Prior | None, count: int) -> tuple[Tensor, list[float]]:
     """Return an attitude, and rotations about the vertical (rad) that give the headings to try.
 
-    They lie within two standard deviations of the prior's heading, or on the full circle if the
-    heading or its standard deviation is unknown.
+    They cover at least two standard deviations to either side of the prior's heading, or the full
+    circle if the heading or its standard deviation is unknown.
 
     Args:
         prior: prior of the query; without an attitude the camera is assumed to look straight down.

@@ -23,8 +23,8 @@ from objconnect.scene.geometry.views import WarpedImage
 from objconnect.scene.localizer import Estimate, PoseSource, Status, Stopwatch
 
 Rivals = Sequence[tuple[Pose, float]]
-"""Poses that no attempt gave, such as one by matches, with their log odds of being right. They
-lower the probability of the attempts' poses."""
+"""Poses that no attempt gave, such as one by matches, with their log odds of being right. A rival
+lowers the probability of the likeliest attempt if its pose is another one (``is_same_pose``)."""
 
 
 @dataclass(frozen=True)

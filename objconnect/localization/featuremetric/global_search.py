@@ -222,7 +222,7 @@ class GlobalSearch:
             yield self._find_similar(query, clock)
 
     def _find_similar(self, query: Query, clock: Stopwatch) -> list[Candidate]:
-        """Return the poses of map photographs that are similar to the query."""
+        """Return poses of similar map photographs, with the attitude of the prior if known."""
         config = self.refine.config
         with clock.stage("retrieval"):
             reference_rows = self.refine.choose_references(query)

@@ -28,7 +28,7 @@ class SearchOptions(Config):
         le=1,
         description="Largest probability that an accepted pose is wrong by more than 5 m or 10 "
         "deg. It bounds each answer; of all answers far fewer are wrong. A search ends at the "
-        "first pose within this risk. 1 accepts every pose.",
+        "first pose within this risk. 1 accepts poses of any probability.",
     )
     most_sigma_m: float = Field(
         1.0,
@@ -58,16 +58,16 @@ class SearchOptions(Config):
     matched_answer_inliers: int = Field(
         100,
         ge=4,
-        description="Number of inliers from which a pose by matches is the answer without an "
-        "alignment. On the validation scenes such poses were off by 0.02 m in the median, and by "
-        "0.04 m after an alignment.",
+        description="Number of inliers from which a pose by matches within ``risk`` is the answer "
+        "without an alignment. On the validation scenes such poses were off by 0.02 m in the "
+        "median, and by 0.04 m after an alignment.",
     )
     again: int = Field(
         2,
         ge=1,
-        description="Factor on the numbers of starts and points of a second search, if no pose "
-        "around a prior, or around the reference images that a query names, is accepted; 1 for no "
-        "second search. Without ``multistart`` there is none.",
+        description="Factor on the numbers of poses and points that a second search compares, if "
+        "no pose around a prior, or around the reference images that a query names, is accepted; "
+        "1 for no second search. Without ``multistart`` there is none.",
     )
     matcher: dict[str, Any] | None = Field(
         None,
@@ -93,9 +93,9 @@ class TrackingOptions(Config):
     coarser: float | None = Field(
         None,
         gt=0,
-        description="Ground resolution (m/px) of the image relative to the map's photographs; "
-        "coarser images take less time, and images are never enlarged. None resizes as for any "
-        "query, which leaves nearly equal resolutions as they are.",
+        description="Metres per pixel of the image as a multiple of those of the map's "
+        "photographs; larger values take less time, and images are never enlarged. None resizes "
+        "as for any query, which leaves nearly equal resolutions as they are.",
     )
     side: float = Field(
         1.0,

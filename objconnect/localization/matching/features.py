@@ -77,7 +77,8 @@ class Extractor(ABC):
         """Extract features of a rotated and resized photograph, in pixels of the original.
 
         It is rotated counter-clockwise by ``angle`` (rad) and resized by ``scale``. The corners of
-        the rotated picture are black. Keypoints at or beyond the photograph's edge are dropped.
+        the rotated picture are black. Keypoints beyond the photograph's edge or less than
+        ``views.MARGIN`` from it are dropped.
         """
         view = warp_image(rgb, camera, angle, scale)
         features = self(view.picture)

@@ -207,8 +207,8 @@ def output_files(poses: Path, also: Sequence[Path]) -> list[OutputFile]:
         also: further files, whose endings select the formats; see ``FURTHER_FORMATS``.
 
     Raises:
-        InputError: ``poses`` is a folder or ends in .csv, an ending is unknown, or the package that
-            a format needs is not installed.
+        InputError: ``poses`` has no file name or ends in .csv, an ending is unknown, or the package
+            that a format needs is not installed.
     """
     if not poses.name:
         raise InputError(f"{poses} is a folder: give a file whose name ends in .txt")

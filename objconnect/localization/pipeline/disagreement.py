@@ -31,8 +31,8 @@ class Disagreement(NamedTuple):
     Attributes:
         photographs: number of photographs that have both positions.
         horizontal_m: median horizontal distance, metres.
-        height_m: median height of the estimates above the measurements, metres; None if no height
-            was measured.
+        height_m: median height of the estimates above the measurements, metres; None if fewer than
+            five photographs have both heights.
         height_error_m: median absolute difference of the heights, metres; None if ``height_m`` is.
         is_far_horizontally: whether the horizontal distances are far larger than their sigmas.
         is_far_vertically: whether the height differences are far larger than their sigmas.
@@ -135,7 +135,7 @@ def warn_of_disagreement(estimates: Sequence[ImageEstimate], geography: Geograph
         "the sigmas of both: the map's georeference or the GPS is wrong%s",
         " and ".join(parts),
         errors.photographs,
-        ", or its altitudes are above another surface (sea or ellipsoid)"
+        ", or the GPS altitudes are above another surface (sea or ellipsoid)"
         if errors.is_far_vertically
         else "",
     )

@@ -40,8 +40,8 @@ def read_parts(path: Path) -> dict[str, str] | None:
 class Journal(Generic[Entry]):
     """A file with one line per finished query, which is removed when the run is complete.
 
-    A run with another key (other data, method, configuration, start or version) starts over. The
-    journal is a context manager; while it is open, no second run can write the same results.
+    A run with another key (for example other data, another method or another version) starts over.
+    The journal is a context manager; while it is open, no second run can write the same results.
 
     Attributes:
         done: finished queries by name.

@@ -43,11 +43,12 @@ def encode_bag(poses: Sequence[StampedPose], mark: str) -> bytes:
     """Return a bag (MCAP), for ``ros2 bag play``.
 
     Each pose is written as a ``sensor_msgs/NavSatFix``. The altitude is above the ellipsoid. The
-    covariance is on earth; its type is unknown if the map's accuracy on earth is unknown. If the
-    covariance within the map is known, the pose is also written as a
-    ``geometry_msgs/PoseWithCovarianceStamped`` in the frame ``map``: metres east, north and up from
-    the map's origin. Body axes follow REP 103 (x forward along the optical axis, y left, z up), and
-    rotations of the covariance are about the fixed axes of the map.
+    covariance is on earth; its type is unknown unless the covariance of the pose and the map's
+    horizontal and vertical accuracy on earth are known. If the covariance of the pose is known, the
+    pose is also written as a ``geometry_msgs/PoseWithCovarianceStamped`` in the frame ``map``, with
+    its covariance within the map: metres east, north and up from the map's origin. Body axes follow
+    REP 103 (x forward along the optical axis, y left, z up), and rotations of the covariance are
+    about the fixed axes of the map.
 
     Args:
         poses: sorted by time.

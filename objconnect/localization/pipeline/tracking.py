@@ -23,8 +23,8 @@ from objconnect.scene.storage.records import Record
 _MIN_SIGMA_M: Final = 1e-3
 # Sigma of the predicted attitude (degrees per axis) above which the camera is lost.
 _LOST_SIGMA_DEG: Final = 30.0
-# After this many successive poses that agree with the motion, a search result that contradicts the
-# motion is rejected.
+# After this many successive poses of one motion, a search result that contradicts the motion is
+# rejected, unless localization near the predicted pose gave the same pose.
 _MIN_CONFIRMED_POSES: Final = 3
 # Two poses within this distance and angle are the same.
 _SAME_POSE_M: Final = 0.5
@@ -149,7 +149,7 @@ class Tracker:
         return predicted if has_position and predicted.sigma_deg < _LOST_SIGMA_DEG else None
 
     def _localize_near(self, query: Query, predicted: Motion, tracked: bool) -> Estimate:
-        """Localize an image near the predicted pose; if ``tracked``, without a search elsewhere."""
+        """Localize an image near the predicted pose; ``tracked`` is that of ``Query``."""
         with_prior = replace(query, prior=predicted.prior, tracked=tracked)
         return localize_safely(self._localizer, with_prior)
 

@@ -2,8 +2,8 @@
 
 On a plane the inverse depth is linear in the pixel, 1/z(x, y) = w + gx dx + gy dy. A plane is
 therefore three numbers (w in 1/m, gx and gy in 1/m per pixel). Moving it to another pixel takes
-two products, and its projection into another view is linear in them before the division. Any
-such plane with w > 0 faces the camera.
+two products, and the projection of a pixel into another view is linear in the three numbers before
+the division. Any such plane with w > 0 faces the camera.
 """
 
 from __future__ import annotations

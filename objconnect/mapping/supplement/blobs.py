@@ -74,9 +74,10 @@ def find_blobs(
 
     Args:
         rgb: the photograph (H, W, 3).
-        network: network whose object centres are added to the blobs. A network with object blocks
-            also gives each blob a confidence and a descriptor; with a learned detector, its
-            detections are added. Without a network, all blobs have confidence 1.
+        network: network whose object centres are added to the blobs. A network with a segmentation
+            also gives each blob the confidence and the descriptor of its object. A network with a
+            detector but no segmentation adds the centres of its detections only: as without a
+            network, blobs have confidence 1 and are described by their appearance.
         masks: label map (H, W) of objects; blobs outside all objects are dropped.
     """
     lab = to_lab(rgb)

@@ -35,7 +35,8 @@ from objconnect.scene.storage.images import read_rgb
 # higher ones are not on small objects.
 _MIN_HEIGHT_M: Final = 0.1
 _MAX_HEIGHT_M: Final = 3.2
-# Minimum probability of being on an object; docs/evidence/mapping.md has its precision.
+# Minimum probability of being on an object. docs/evidence/mapping.md states which share of the
+# added points is near a surface.
 _MIN_PROBABILITY: Final = 0.8
 # Minimum distance (m) from the map's points. An object nearer to one of them has a point already.
 _MIN_DISTANCE_M: Final = 0.5

@@ -125,7 +125,7 @@ class DenseLayers:
                 return np.asarray(dataset(self._file, layer)[index])
         except HDF5_DAMAGE as error:
             raise InputError(
-                f"{self._path}: frame {index} of {layer} is damaged: {error}"
+                f"{self._path}: the {layer} of frame number {index + 1} is damaged: {error}"
             ) from None
         raise InputError(f"{self._path} has no {layer} layer")
 

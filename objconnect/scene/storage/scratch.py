@@ -17,12 +17,13 @@ from objconnect.scene.storage.leftovers import make_folder_in_use, remove_abando
 def scratch(parent: Path | None = None, needed: int = 0) -> Iterator[Path]:
     """Make a temporary folder for the duration of the block.
 
-    It lies on the disk of the results, because the system's temporary folder may be small.
-    Temporary folders of killed processes in ``parent`` are removed.
+    With ``parent``, it lies on the disk of the results, because the system's temporary folder may
+    be small. Temporary folders of killed processes beside it are removed.
 
     Args:
-        parent: folder of the cache or output, in which the temporary folder lies; it is created if
-            necessary, and removed if it stays empty. None uses the system's temporary folder.
+        parent: folder of the cache or output, in which the temporary folder lies. If it does not
+            exist, it is created, and removed after the block if it is empty then. None uses the
+            system's temporary folder.
         needed: bytes that the block writes.
 
     Raises:

@@ -59,7 +59,8 @@ def read_subtitles(path: Path) -> list[Subtitle]:
     UTF-8 are replaced: they are degree signs and names, never numbers.
 
     Raises:
-        InputError: the file cannot be read, is larger than 512 MiB, or holds no subtitle.
+        InputError: the file cannot be read, is larger than 512 MiB, or holds no subtitle or an
+            invalid time.
     """
     srt = import_extra("srt", "video", "a subtitle file")
     # srt warns of every text that it skips.
@@ -119,8 +120,8 @@ def _normalize_line_ends(text: str) -> str:
 def _normalize_times(text: str) -> str:
     """Return a text whose times have hours and three digits of milliseconds.
 
-    Fractions of equal length are decimal fractions of a second; fractions of different lengths are
-    milliseconds without leading zeros.
+    Fractions are decimal fractions of a second if all have one length, or if one has more than
+    three digits. Otherwise they are milliseconds without leading zeros.
     """
     lines = list(_TIMES.finditer(text))
     digits = {len(part) for line in lines for part in line.group(4, 8) if part is not None}

@@ -26,7 +26,8 @@ def read_table(
 
     Raises:
         InputError: the file is unreadable, a column is missing or named twice, a row has another
-            number of values, or a quote is never closed.
+            number of values than the header, or a value is longer than the csv module allows. The
+            last two also happen where a quote is never closed.
     """
     rows = csv.reader(io.StringIO(read_text(path, what), newline=""))
     line = 1

@@ -116,16 +116,17 @@ def decode_frames(path: Path, rate_hz: float | None = None) -> Iterator[VideoFra
     """
     with _open(path) as (container, stream):
         start, next_s, seconds = None, 0.0, 0.0
-        # A frame up to half an interval before a multiple is the nearest to it.
-        half_interval = 0.0 if rate_hz is None else min(0.5 / _rate(stream), 0.25 / rate_hz)
+        # A frame may be this early for a time k / rate_hz: half an interval between frames, within
+        # which it is the nearest frame, but at most a quarter of 1 / rate_hz.
+        early_s = 0.0 if rate_hz is None else min(0.5 / _rate(stream), 0.25 / rate_hz)
         for index, frame in enumerate(_decode(container, stream, path)):
             time_s = index / _rate(stream) if frame.time is None else float(frame.time)
             start = time_s if start is None else start
             seconds = time_s - start
             if rate_hz is not None:
-                if seconds < next_s - half_interval:
+                if seconds < next_s - early_s:
                     continue
-                next_s = (math.floor((seconds + half_interval) * rate_hz) + 1) / rate_hz
+                next_s = (math.floor((seconds + early_s) * rate_hz) + 1) / rate_hz
             yield VideoFrame(index, seconds, _rotate_for_display(frame, path))
         if start is None:
             raise InputError(f"{path} has no frame that can be read: it is empty or damaged")
@@ -202,11 +203,11 @@ def _open(path: Path) -> Iterator[tuple[Any, Any]]:
 def _choose_stream(container: Any, path: Path) -> Any:
     """Return the video stream to read; cover pictures and thumbnails are ignored.
 
-    Of several video streams it prefers the longest, then the largest, then the one marked as
-    default, and warns of the choice.
+    Of the video streams that last at least 90 % as long as the longest, it is the one with the
+    largest frames, and of equally large ones the one marked as default. A warning names the choice.
 
     Raises:
-        InputError: there is no video stream.
+        InputError: there is no video stream, or none with a known codec.
     """
     if not container.streams.video:
         raise InputError(f"{path} has no pictures: it is not a video")

@@ -2,7 +2,7 @@
 
 The fields are DJI's in the namespace ``drone-dji``, listed in the manuals of Mavic 3 and Matrice 4
 ("Photo File: XMP Data List"). Autel's have the same names and meaning. Attitudes in namespaces of
-other makers have other axes and are not read.
+other makers are not read, because their axes are not known.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _DJI_NAMESPACE: Final = re.compile(r"dji|autel|^(drone)?:", re.IGNORECASE)
 LARGEST_ANGLES: Final = (360.0, 180.0, 360.0)
 """Largest absolute angles (yaw, pitch, roll; degrees)."""
 
-# Elements with fields of other pictures, or of the places that a picture shows.
+# Elements with fields of other pictures, or of places that an editing program adds.
 _OTHER_PICTURES: Final = re.compile(
     r"(.*:)?(LocationShown|LocationCreated|Pantry|Ingredients|History)"
 )
@@ -58,7 +58,8 @@ class DroneXmp:
         rtk_sigma: standard deviations of the position to the east, north and up, metres, for a
             fixed RTK solution.
         camera: calibration by the maker, for the size in which the picture was taken.
-        size_confirmed: whether a stated optical centre confirms that size.
+        size_confirmed: whether the optical centre is stated. If ``camera`` is not None, the centre
+            then fits the size in which the picture was taken.
         speed: horizontal speed of the aircraft, m/s.
         shutter: kind of the shutter, such as ``Mechanical``.
         panorama: projection of a panorama, such as ``equirectangular``.

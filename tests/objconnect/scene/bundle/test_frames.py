@@ -120,7 +120,7 @@ def test_a_layer_that_was_not_rendered(tmp_path: Path) -> None:
 
 
 def test_a_frame_that_is_not_there(path: Path) -> None:
-    with dense_layers(path) as dense, pytest.raises(InputError, match="frame 3 of depth"):
+    with dense_layers(path) as dense, pytest.raises(InputError, match="depth of frame number 4"):
         dense.read("depth", 3)
 
 
