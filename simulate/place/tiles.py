@@ -124,11 +124,10 @@ class TiledPlace:
         for row, column in np.unique(tiles, axis=0).tolist():
             yield (row, column), np.flatnonzero((tiles == [row, column]).all(1))
 
-    def assemble(self, first: Index, tiles: Sequence[Sequence[World]]) -> World:
+    def assemble(self, tiles: Sequence[Sequence[World]]) -> World:
         """Join neighbouring tiles to a square place, whose origin is its centre.
 
         Args:
-            first: Index of the tile in the south-west.
             tiles: Rows of tiles from south to north. Their objects keep their ids.
         """
         count = len(tiles)

@@ -204,7 +204,7 @@ def build_window(place: TiledPlace, window: Window, change: Change) -> World:
         if ids is None:
             hidden = max((item.id for item in tiles[-1].objects), default=hidden)
     rows = [tiles[k : k + window.side] for k in range(0, len(tiles), window.side)]
-    return place.assemble(window.first, rows)
+    return place.assemble(rows)
 
 
 def move_pose(cam_from_world: Array, centre: tuple[float, float]) -> Array:

@@ -95,7 +95,7 @@ def test_an_assembled_world_equals_its_tiles() -> None:
     place = town()
     first = (6, 7)
     tiles = [[place.tile((first[0] + r, first[1] + c)) for c in range(2)] for r in range(2)]
-    world = place.assemble(first, tiles)
+    world = place.assemble(tiles)
     assert world.side_m == pytest.approx(2 * place.tile_m)
     middle = place.window_centre(first, 2)
     rng = np.random.default_rng(0)
@@ -116,7 +116,7 @@ def test_an_assembled_world_equals_its_tiles() -> None:
 def test_the_ground_of_a_tile_looks_the_same_beside_any_neighbours(name: str) -> None:
     place, look = town(), condition(name)
     west, east = (
-        place.assemble((7, k), [[place.tile((7 + r, k + c)) for c in range(2)] for r in range(2)])
+        place.assemble([[place.tile((7 + r, k + c)) for c in range(2)] for r in range(2)])
         for k in (6, 7)
     )
     n = len(place.tile((7, 7)).ground.labels)
