@@ -18,6 +18,7 @@ from objconnect.ingestion.georegister import fit_robust_similarity, fit_similari
 from objconnect.ingestion.options import IngestOptions
 from objconnect.scene.colmap.ground_control import SurveyedPoint, adjust_to_points
 from objconnect.scene.geometry.geodesy import Geodetic
+from objconnect.scene.maps.colmap_files import read_model
 from objconnect.scene.maps.photographs import Photograph
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.storage.atomic import atomic_folder
@@ -190,11 +191,16 @@ def _move_to_points(
     if len(points) < _MIN_POINTS or is_on_a_line(triangulated):
         shift = np.column_stack([np.eye(3), (surveyed - triangulated).mean(0)])
         return replace(adjusted, model=adjusted.model.transform(shift))
+    # The model of the folder may have another frame: ``adjusted.model`` was moved after it was
+    # written if it was raised to known altitudes, or if its poses were imported.
+    written = read_model(adjusted.folder)
+    found = [(triangulate_marks(written, point.marks), point.xyz) for point in points]
+    pairs = [(position[0], xyz) for position, xyz in found if position is not None]
     with atomic_folder(work / "control") as folder:
         model = adjust_to_points(
             adjusted.folder,
             photographs,
-            fit_similarity(triangulated, surveyed),
+            fit_similarity(*np.swapaxes(np.array(pairs), 0, 1)),
             points,
             adjusted.refined,
             folder,

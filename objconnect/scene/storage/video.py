@@ -49,7 +49,8 @@ class Video:
         rate_hz: frames per second.
         duration_s: duration, seconds; None if not stated.
         created: time of the recording, UTC; None if not stated.
-        pixel_aspect: ratio of a pixel's width to its height; 1 if not stated.
+        pixel_aspect: ratio of a pixel's width to its height as stored, before the display rotation;
+            1 if not stated.
         unread: kinds of the subtitle and data streams, such as ``mov_text``, which are not read.
     """
 
