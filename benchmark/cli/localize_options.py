@@ -91,8 +91,8 @@ Crs = Annotated[
     str | None,
     typer.Option(
         metavar="EPSG:N",
-        help="Coordinate reference system of additional columns x (east), y (north) and h, such "
-        "as EPSG:32632, or EPSG:7415 with heights of its own.",
+        help="Add the columns x (east), y (north) and h to the table of poses, in this coordinate "
+        "reference system, such as EPSG:32632, or EPSG:7415, which also defines heights.",
         show_default="none",
     ),
 ]

@@ -23,7 +23,7 @@ BY_COURSE: Final = (
     "not queries, as independent. [–] says that all queries are of one course, so that the "
     "interval is unknown."
 )
-"""Explanation of the intervals below a table."""
+"""Explanation of the intervals in the tables."""
 INTEGRITY: Final = (
     "False fixes are poses of status ok that are wrong by more than 5 m or 10°. Two further "
     f"columns count poses of status ok whose position is wrong by more than {WRONG_M:g} m, or "
