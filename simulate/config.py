@@ -216,14 +216,15 @@ class SimulateConfig(Config):
         description='"shared": flights are drawn by seed and session, so that all presets of one '
         'seed have the same flights. "own": they are drawn by preset too, with any heading. '
         "Altitudes and radii that a flight does not state are then drawn within 15 % of those of "
-        "its role. Use it for new tracks.",
+        "its role. Use it for new tracks of the benchmark.",
     )
     change_share: float = Field(
         1.0,
         ge=0,
         le=1,
         description="Probability that the ``change`` of a session happens, drawn by preset, seed "
-        "and session and not by condition, so that a track separates the two effects.",
+        "and session and not by condition, so that results separate the effect of changed objects "
+        "from that of the condition.",
     )
     position_jitter_m: float = Field(
         0.7, ge=0, description="Standard deviation of positions by wind, per axis, m."

@@ -39,12 +39,12 @@ def check_points(
         stated.names, poses, stated.cameras, cameras, strict=True
     ):
         if name in images:
-            same_size = (
+            same_width = (
                 camera is not None
                 and stated_camera is not None
                 and camera.width == stated_camera.width
             )
-            used_camera = camera if same_size and camera is not None else images[name].camera
+            used_camera = camera if same_width and camera is not None else images[name].camera
             images[name] = replace(images[name], cam_from_world=pose, camera=used_camera)
     if not any((image.point_rows >= 0).any() for image in images.values()):
         return unknown(CHECK, "the map has no observation")

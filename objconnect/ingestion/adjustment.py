@@ -54,7 +54,8 @@ class AdjustedModel:
         delay: Seconds by which fixes lag behind the photographs; 0 where unknown.
         undelayed_fixes: Fixes (3,) with the delay removed, by name, world metres; empty without a
             delay.
-        folder: Folder of the model as it was written; ``model`` may have been moved since.
+        folder: Folder of the COLMAP model as it was written; the coordinates of ``model`` may have
+            been transformed since.
     """
 
     model: SparseMap

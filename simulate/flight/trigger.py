@@ -28,7 +28,7 @@ class Repeater:
         is_timer: Whether ``interval`` and ``remaining`` are seconds.
         count: Number of photographs left; None is unlimited.
         command: The command that started the trigger.
-        since_m: Distance since the trigger's last photograph, metres.
+        since_m: Distance since the last photograph that the interval gave, metres.
     """
 
     interval: float

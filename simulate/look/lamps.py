@@ -69,8 +69,8 @@ def _headlights(item: WorldObject, ahead: Array) -> Beam:
     """Return the common beam of both headlights, from the middle of a vehicle's front."""
     forward = 0.5 * item.size[0] + 0.1
     ascent = 0.0 if item.slope is None else item.slope[0]
-    above_ground = 0.65 - 0.5 * item.height_m + ascent * forward
-    position = item.centre + forward * ahead + [0.0, 0.0, above_ground]
+    above_centre = 0.65 - 0.5 * item.height_m + ascent * forward
+    position = item.centre + forward * ahead + [0.0, 0.0, above_centre]
     direction = ahead - [0.0, 0.0, _DIP - ascent]
     direction /= np.linalg.norm(direction)
     return Beam(position, direction, _HEADLIGHTS_CONE_DEG, _ASPECT, _HEADLIGHTS_W, _LED, 90.0)

@@ -62,7 +62,7 @@ def remove_abandoned(folder: Path) -> None:
 
 
 def _remove_unused(path: Path) -> bool:
-    """Remove a temporary file or folder, and return False if a process uses it.
+    """Remove a temporary file, or a folder unless a process uses it; return whether it is removed.
 
     The mark of a folder is locked meanwhile, so that no process begins to use the folder.
     """
