@@ -30,7 +30,7 @@ def main(folder: Path = Path("runs/examples/results")) -> pd.DataFrame:
         raise oc.InputError(f"{folder} holds no results: run 05_compare_two_methods.py first")
     table = pd.DataFrame(rows)
 
-    # A query without a pose has no error: the comparison is false, so it counts as wrong.
+    # A query without a pose has no error: the comparison is false, so it counts as not found.
     table["found"] = (table.t_err_m < 0.5) & (table.r_err_deg < 5)
     print(table.groupby(["start", "method", "condition"]).found.agg(["mean", "size"]))
     print(table.groupby("method").t_err_m.describe())

@@ -28,7 +28,7 @@ class SessionPlan(NamedTuple):
     Attributes:
         poses: Poses ``cam_from_world`` (N, 4, 4).
         rng: Generator of the noise of its priors.
-        first_new_id: First id of objects that its change adds, in a place without tiles.
+        first_new_id: First id of objects that its change moves or adds, in a place without tiles.
         windows: Windows of a tiled place with all photographs; empty for other places.
     """
 

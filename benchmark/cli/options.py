@@ -40,7 +40,7 @@ Risk = Annotated[
     float | None,
     typer.Option(
         help="Largest probability of an error above 5 m or 10 degrees at which a pose is accepted, "
-        "for methods that predict it (search.risk); 1 accepts every pose.",
+        "for methods that predict it (search.risk); 1 accepts any probability.",
         min=1e-6,
         max=1,
         show_default="0.05",

@@ -80,7 +80,7 @@ class Level(Record):
         prior_r_deg: angle between the attitudes of the prior and the camera, degrees.
         queries: number of all queries, the denominator of the recall.
         failed: number of queries without a pose.
-        fallback: number of queries whose pose is only the prior's; they count as wrong.
+        fallback: number of queries whose pose is only the prior's; they count as not found.
         correct: number of correct queries by the key of a threshold, such as "0.25m_2deg".
         by_course: number of queries and of correct ones in each course; None in files of earlier
             versions, whose recalls have no intervals.

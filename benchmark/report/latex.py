@@ -48,7 +48,7 @@ def escape(text: str) -> str:
 def _caption(table: Table) -> str:
     return (
         f"{table.track}: {table.dataset}. Recall in % with its 95 % interval as a subscript; "
-        f"{BY_COURSE} Failed queries and fallback poses count as wrong. {INTEGRITY} "
+        f"{BY_COURSE} Failed queries and fallback poses count as not found. {INTEGRITY} "
         f"{table.facts()}"
     )
 

@@ -47,9 +47,9 @@ def markdown(tables: Sequence[Table]) -> str:
         "# Leaderboard",
         "",
         "Recall is the percentage of all listed queries whose pose is closer than both thresholds, "
-        f"with its 95 % interval; {BY_COURSE} Failed queries and fallback poses count as wrong. "
-        f"{INTEGRITY} Medians are over the queries with a pose. Only rows of one table can be "
-        "compared.",
+        f"with its 95 % interval; {BY_COURSE} Failed queries and fallback poses count as not "
+        f"found. {INTEGRITY} Medians are over the queries with a pose. Only rows of one table can "
+        "be compared.",
     ]
     for table in tables:
         lines += ["", f"## {escape(table.track)}: {escape(table.dataset)}", ""]

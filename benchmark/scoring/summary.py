@@ -91,8 +91,8 @@ class Summary(Record):
         median_r_deg: median rotation error of the queries with a pose, degrees; None without any.
         failed: number of queries without a pose.
         uncertainty: figures of the localized queries with a covariance; None without any.
-        fallback: number of queries whose pose is only the prior's or that of a map photograph; they
-            count as wrong.
+        fallback: number of queries whose pose is only the prior's, a candidate or that of a map
+            photograph; they count as not found.
         seconds: times; ``prepare`` is that of the whole run, even for a part of its queries.
         peak_memory_mb: peak memory of the process during the whole run (1e6 bytes); None where the
             system does not measure it.

@@ -90,8 +90,8 @@ def write_answers(
 ) -> AnswersReport:
     """Localize every query of data sets and write ``OUT/poses/<dataset>.txt``.
 
-    Only poses of status ok are written, because others count as wrong. An interrupted run goes on
-    where it stopped.
+    Only poses of status ok are written, because others count as not found. An interrupted run goes
+    on where it stopped.
 
     Args:
         path: data set, or published folder, also one whose query poses are sealed.

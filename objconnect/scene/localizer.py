@@ -117,7 +117,7 @@ class Status(StrEnum):
     """The outcome of a localization."""
 
     OK = "ok"
-    FALLBACK = "fallback"  # the pose of the prior or of a reference image: counts as wrong
+    FALLBACK = "fallback"  # the prior, a candidate or a reference image's pose: not found
     FAILED = "failed"
 
 

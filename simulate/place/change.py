@@ -73,7 +73,7 @@ class ChangedWorld:
     """A world after a change.
 
     Attributes:
-        first_new_id: the first id of its new objects.
+        first_new_id: the first id of its moved and added objects.
         declared: ids of the objects that were moved, removed, added or lost their leaves.
     """
 

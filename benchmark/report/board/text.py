@@ -90,8 +90,8 @@ def board_markdown(boards: Sequence[TrackBoard], rows: Sequence[Sequence[Headlin
         "# Leaderboard",
         "",
         "Recall is the percentage of all listed queries whose pose is closer than both thresholds, "
-        f"with its 95 % interval; {BY_COURSE} Failed queries and fallback poses count as wrong. "
-        f"{INTEGRITY} Surest: "
+        f"with its 95 % interval; {BY_COURSE} Failed queries and fallback poses count as not "
+        f"found. {INTEGRITY} Surest: "
         "answers are sorted by predicted probability (without one: by sigma), and as many of the "
         f"first as possible are accepted, with fewer than {RISK:.0%} wrong at 0.5 m 5°; "
         "the column is the share of all queries that are accepted and right. Where a method has "

@@ -240,7 +240,7 @@ def finish_scene(path: Path, manifest: Manifest) -> Scene:
 
 
 def digests(path: Path) -> dict[str, str]:
-    """Return the SHA-256 of every data file of a scene: not of its manifest, figures or results."""
+    """Return the SHA-256 of the files that the manifest covers, by path, not of pictures."""
     return {name: sha256_of(path / name) for name in _data_files(path)}
 
 
