@@ -72,7 +72,7 @@ def forecast(
             is of another site, or ``out`` cannot be written.
     """
     opened_scene = Scene.open(scene)
-    start_of(config.start)  # refuses an unknown start, and a list of pairs, which has no views
+    start_of(config.start)  # refuses an unknown start, and a list of pairs, which names no view
     sparse_map = opened_scene.sparse_map()
     opened_twin = None if twin is None else Scene.open(twin)
     render_config = views_config(opened_scene, sparse_map, flight, config, opened_twin)

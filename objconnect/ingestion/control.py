@@ -195,12 +195,12 @@ def _move_to_points(
     # written if it was raised to known altitudes, or if its poses were imported.
     written = read_model(adjusted.folder)
     found = [(triangulate_marks(written, point.marks), point.xyz) for point in points]
-    pairs = [(position[0], xyz) for position, xyz in found if position is not None]
+    placed, targets = zip(*[(p[0], xyz) for p, xyz in found if p is not None], strict=True)
     with atomic_folder(work / "control") as folder:
         model = adjust_to_points(
             adjusted.folder,
             photographs,
-            fit_similarity(*np.swapaxes(np.array(pairs), 0, 1)),
+            fit_similarity(np.array(placed), np.array(targets)),
             points,
             adjusted.refined,
             folder,

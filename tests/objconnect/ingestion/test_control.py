@@ -118,13 +118,18 @@ def fit(
     return model, adjusted, {r.name: r for r in residuals}, control_text(residuals)
 
 
-def test_points_place_a_model_that_was_raised_to_altitudes(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("scale", "shift"), [(1.0, (0.0, 0.0, 300.0)), (40.0, (900.0, -500.0, 20.0))]
+)
+def test_points_place_a_model_that_was_moved_after_it_was_written(
+    scale: float, shift: tuple[float, float, float], tmp_path: Path
+) -> None:
     (tmp_path / "true").mkdir()
     model = true_model(tmp_path / "true")
     photographs = [Photograph(name, CAMERA, "lens", True, True) for name in model.names]
     adjusted = place_by_gps(model, tmp_path / "gps")
-    raised = adjusted.model.transform(np.column_stack([np.eye(3), [0.0, 0.0, 300.0]]))
-    adjusted = replace(adjusted, model=raised)
+    moved = adjusted.model.transform(np.column_stack([scale * np.eye(3), shift]))
+    adjusted = replace(adjusted, model=moved)
     points = survey(model, {}, set())
     fitted, _ = fit_to_control(adjusted, points, ORIGIN, photographs, tmp_path, IngestOptions())
     assert worst_centre(model, fitted) < 1e-3
