@@ -80,7 +80,7 @@ class TiledScene:
         shown = sorted({index for view in views for each in view.values() for index in each.shown})
         objects: list[WorldObject] = []
         per_session: list[list[WorldObject]] = [[] for _ in self._changes]
-        declared = [DeclaredChange() for _ in self._changes]
+        declared: list[list[DeclaredChange]] = [[] for _ in self._changes]
         ids: list[dict[Index, TileIds]] = [{} for _ in self._changes]
         offset = 0
         with progress_bar("tiles", len(shown)) as advance:
@@ -91,7 +91,7 @@ class TiledScene:
                 objects += self._in_scene(listed, index, offset)
                 for k, changed in enumerate(worlds):
                     per_session[k] += self._in_scene(changed.world.objects, index, offset)
-                    declared[k] = _join(declared[k], changed.declared, offset)
+                    declared[k].append(_shift_ids(changed.declared, offset))
                     ids[k][index] = TileIds(offset=offset, first_new_id=changed.first_new_id)
                 offset += max((item.id for item in listed), default=0)
                 if offset > MAX_SCENE_ID:
@@ -102,7 +102,7 @@ class TiledScene:
                     )
                 advance(done)
         worlds = [
-            ChangedWorld(replace(self.land, objects=tuple(items)), change, 0, each)
+            ChangedWorld(replace(self.land, objects=tuple(items)), change, 0, _join(each))
             for items, change, each in zip(per_session, self._changes, declared, strict=True)
         ]
         return NumberedTiles(tuple(objects), worlds, ids)
@@ -134,11 +134,21 @@ class NumberedTiles(NamedTuple):
         return group_views(views, self.ids[session])
 
 
-def _join(declared: DeclaredChange, tile: DeclaredChange, offset: int) -> DeclaredChange:
-    """Add the declared changes of a tile, whose ids grow by ``offset``."""
+def _shift_ids(declared: DeclaredChange, offset: int) -> DeclaredChange:
+    """Return declared changes whose ids are larger by ``offset``."""
     return DeclaredChange(
-        moved=(*declared.moved, *((a + offset, b + offset) for a, b in tile.moved)),
-        removed=(*declared.removed, *(k + offset for k in tile.removed)),
-        added=(*declared.added, *(k + offset for k in tile.added)),
-        bare=(*declared.bare, *(k + offset for k in tile.bare)),
+        moved=tuple((old + offset, new + offset) for old, new in declared.moved),
+        removed=tuple(each + offset for each in declared.removed),
+        added=tuple(each + offset for each in declared.added),
+        bare=tuple(each + offset for each in declared.bare),
+    )
+
+
+def _join(tiles: Sequence[DeclaredChange]) -> DeclaredChange:
+    """Return the declared changes of all tiles."""
+    return DeclaredChange(
+        moved=tuple(pair for tile in tiles for pair in tile.moved),
+        removed=tuple(each for tile in tiles for each in tile.removed),
+        added=tuple(each for tile in tiles for each in tile.added),
+        bare=tuple(each for tile in tiles for each in tile.bare),
     )

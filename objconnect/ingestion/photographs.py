@@ -65,7 +65,7 @@ class Flight:
     """The photographs of a flight.
 
     Attributes:
-        images: Photographs in the order they were taken.
+        images: Photographs in the order they were taken, or by file name if one has no time.
         left_out: Files of the folder that are left out, with the reasons.
     """
 

@@ -86,7 +86,10 @@ def find_landmarks(
     check_outputs(outputs, [path, *([] if weights is None else [weights])])
     network = read_network(weights or shipped_path(SHIPPED))[0].to(network_device)
     if network.detector is None:
-        raise InputError(f"{weights} has no detector of objects: train one with 'train objects'")
+        raise InputError(
+            f"{weights or 'the shipped network'} has no detector of objects: train one with "
+            "'train objects'"
+        )
     sparse_map = scene.sparse_map()
     config = ObjConnectConfig()
     extract = MapExtractor(network, config.longest, config.precision)

@@ -18,7 +18,7 @@ _LINE: Final = re.compile(r"([0-9a-f]{64})  (.+)")
 
 
 def write_checksums(folder: Path, known: Mapping[str, str] | None = None) -> None:
-    """Write the digests of all files in a folder, in the order of their names.
+    """Write the digests of all other files in a folder, in the order of their names.
 
     Args:
         folder: the folder.
@@ -28,10 +28,11 @@ def write_checksums(folder: Path, known: Mapping[str, str] | None = None) -> Non
         InputError: a file cannot be read or written.
     """
     known = known or {}
-    files = [file for file in folder.rglob("*") if file.is_file()]
+    checksums = folder / CHECKSUMS
+    files = [file for file in folder.rglob("*") if file.is_file() and file != checksums]
     names = sorted(file.relative_to(folder).as_posix() for file in files)
     lines = [f"{known.get(name) or sha256_of(folder / name)}  {name}\n" for name in names]
-    write_text(folder / CHECKSUMS, "".join(lines))
+    write_text(checksums, "".join(lines))
 
 
 def read_checksums(folder: Path) -> dict[str, str]:
