@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from baselines.d2net.network import D2Net
+from baselines.d2net.network import DenseD2Net
 
 # Numerical guard: minimum curvature of a peak, relative to its height.
 _MIN_CURVATURE: Final = 1e-4
@@ -39,14 +39,14 @@ class Keypoints(NamedTuple):
     descriptors: Tensor
 
 
-def detect(network: D2Net, image: Tensor, scales: Sequence[float]) -> Keypoints:
+def detect(network: DenseD2Net, image: Tensor, scales: Sequence[float]) -> Keypoints:
     """Detect and describe keypoints.
 
     The features of each level are added to those of the next level, which detects no keypoints
     where a coarser level did (section 3.4 of the paper).
 
     Args:
-        network: the network, without gradients.
+        network: the network.
         image: image (3, H, W) float RGB in 0..1.
         scales: scales of the levels, coarse to fine. Levels that are too small are left out.
     """
@@ -57,7 +57,7 @@ def detect(network: D2Net, image: Tensor, scales: Sequence[float]) -> Keypoints:
         size = (int(height * scale), int(width * scale))
         if min(size) < _MIN_SIDE_PX:
             continue
-        features = network.dense(_resize(image[None], size))[0]
+        features = network(_resize(image[None], size))[0]
         cells = features.shape[1:]
         if coarser is not None:
             features = features + _resize(coarser[None], cells)[0]
@@ -82,7 +82,7 @@ def detect(network: D2Net, image: Tensor, scales: Sequence[float]) -> Keypoints:
         sampled = functional.grid_sample(
             features[None], (2 * exact / last - 1).T[None, None], align_corners=True
         )[0, :, 0]
-        strongest = features[:, rows[kept], columns[kept]].amax(0)
+        strongest = features.permute(1, 2, 0)[rows[kept], columns[kept]].amax(1)
         levels.append(
             Keypoints(
                 xy,
@@ -108,11 +108,13 @@ def find_peaks(features: Tensor) -> tuple[Tensor, Tensor]:
         cells, undefined outside peaks.
     """
     _, h, w = features.shape
-    channel = features.argmax(0)[None]
-    padded = functional.pad(features, (1, 1, 1, 1))
+    # The network's features are channels-last, so that a cell's channels are adjacent in memory.
+    cells = features.permute(1, 2, 0)
+    channel = cells.argmax(2, keepdim=True)
+    padded = functional.pad(cells, (0, 0, 1, 1, 1, 1))
     around = torch.stack(
         [
-            padded[:, row : row + h, column : column + w].gather(0, channel)[0]
+            padded[row : row + h, column : column + w].gather(2, channel)[..., 0]
             for row in range(3)
             for column in range(3)
         ]

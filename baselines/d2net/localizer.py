@@ -16,13 +16,16 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from baselines.d2net.detection import EDGE_RATIO, detect
-from baselines.d2net.network import D2Net, read_network
+from baselines.d2net.network import D2Net, DenseD2Net, read_network
 from objconnect.learning.checkpoint import shipped_path
+from objconnect.learning.inference import Precision
+from objconnect.localization.featuremetric.options import FeaturemetricConfig, NetworkOptions
 from objconnect.localization.matching.features import Extractor
 from objconnect.localization.matching.matcher import NearestNeighbours
 from objconnect.localization.matching.structure import StructureConfig, StructureLocalizer
+from objconnect.scene.config import with_default
 from objconnect.scene.maps.features import Features
-from objconnect.scene.runtime.device import AUTO, Device, torch_device
+from objconnect.scene.runtime.device import torch_device
 from objconnect.scene.runtime.tuning import retain_heap
 
 SHIPPED: Final = Path(__file__).with_name("d2net.safetensors")
@@ -34,15 +37,15 @@ _MIN_CONTRAST: Final = 1.0
 _CONTRAST_WINDOW_PX: Final = 33
 
 
-class D2NetConfig(StructureConfig):
-    """Options of the d2net localizer, in addition to ``StructureConfig``."""
+class D2NetConfig(StructureConfig, NetworkOptions):
+    """Options of the d2net localizer."""
 
     weights: Path | None = Field(
         None,
         description="File of weights (safetensors, or a checkpoint of the authors), or published "
         "weights: a folder or hf://OWNER/NAME@COMMIT; None for the shipped ones.",
     )
-    device: Device = AUTO
+    precision: Precision = with_default(FeaturemetricConfig, "precision", "auto")
     scales: tuple[float, ...] = Field(
         (2.0,),
         min_length=1,
@@ -82,14 +85,12 @@ class D2NetExtractor(Extractor):
         self._device = torch_device(config.device)
         # Allocating the feature maps of each picture again takes a fifth of the time.
         retain_heap()
-        # Convolutions of channels-last maps take less time on the CPU.
-        fast = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self._network: D2Net = fast.to(self._device)
+        self._network = DenseD2Net(network, config.precision).to(self._device)
         self._config = config
         self._weights_sha256 = weights_sha256
         self.options = (
             f"{config.scales} {config.max_edge} {config.max_features} "
-            f"{_MIN_CONTRAST} {_CONTRAST_WINDOW_PX} {EDGE_RATIO}"
+            f"{_MIN_CONTRAST} {_CONTRAST_WINDOW_PX} {EDGE_RATIO} {config.precision}"
         )
 
     @property

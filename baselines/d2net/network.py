@@ -7,6 +7,7 @@ Features", CVPR 2019. Parameters have the names of the authors' checkpoints,
 
 from __future__ import annotations
 
+import copy
 from collections import OrderedDict
 from pathlib import Path
 from typing import Final
@@ -17,6 +18,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from objconnect.learning.checkpoint import load_into, read_weights
+from objconnect.learning.inference import ConvReLU, Pooling
 from objconnect.learning.vgg import channels, vgg16_blocks
 from objconnect.scene.config import Config, load_config
 from objconnect.scene.errors import InputError
@@ -43,7 +45,7 @@ class D2NetNetConfig(Config):
 
 
 class D2Net(nn.Module):
-    """A network that computes a feature for each cell of an image.
+    """The network for training; ``DenseD2Net`` localizes with its weights.
 
     Attributes:
         channels: number of channels of the features.
@@ -81,12 +83,44 @@ class D2Net(nn.Module):
         features: Tensor = self.dense_feature_extraction(_convert_to_caffe(images))
         return features
 
-    def dense(self, images: Tensor) -> Tensor:
-        """Return the features for localization. The centre of cell (x, y) is (4x + 4, 4y + 4).
 
-        The third pooling is an average with stride 1, and the convolutions after it are dilated, so
-        that their receptive field is as in training. The average of 2 x 2 cells belongs to the
-        corner between them, which is half a cell further than the authors' code reports.
+class DenseD2Net(nn.Module):
+    """The network for localization, with twice as many cells and with fused layers.
+
+    The third pooling is an average with stride 1, and the convolutions after it are dilated, so
+    that their receptive field is as in training. The average of 2 x 2 cells belongs to the corner
+    between them, which is half a cell further than the authors' code reports.
+
+    In bfloat16 the last convolution is still computed in single precision: bfloat16 has eight
+    significant bits, so that features rounded to it would have plateaus instead of peaks.
+
+    Attributes:
+        channels: number of channels of the features.
+
+    Args:
+        network: trained network, which is not changed.
+        precision: ``bfloat16`` or ``float32``.
+    """
+
+    def __init__(self, network: D2Net, precision: str) -> None:
+        super().__init__()
+        self.channels = network.channels
+        rounded = torch.bfloat16 if precision == "bfloat16" else torch.float32
+        layers: list[nn.Module] = []
+        poolings = 0
+        *first, last = _convolutions_and_poolings(network)
+        for layer in first:
+            poolings += isinstance(layer, nn.MaxPool2d)
+            if isinstance(layer, nn.Conv2d):
+                layers.append(ConvReLU(_dilate(layer) if poolings == 3 else layer, rounded))
+            else:
+                layers.append(nn.AvgPool2d(2, stride=1) if poolings == 3 else Pooling())
+        assert isinstance(last, nn.Conv2d)
+        layers.append(ConvReLU(_dilate(last), torch.float32))
+        self._layers = nn.Sequential(*layers)
+
+    def forward(self, images: Tensor) -> Tensor:
+        """Return the features. The centre of cell (x, y) is (4x + 4, 4y + 4).
 
         Args:
             images: (B, 3, H, W) float RGB in 0..1, at least 8 x 8.
@@ -94,19 +128,20 @@ class D2Net(nn.Module):
         Returns:
             Features (B, C, H // 4 - 1, W // 4 - 1), not negative.
         """
-        values = _convert_to_caffe(images)
-        poolings = 0
-        for layer in self.dense_feature_extraction[0].children():
-            poolings += isinstance(layer, nn.MaxPool2d)
-            if poolings < 3:
-                values = layer(values)
-            elif isinstance(layer, nn.MaxPool2d):
-                values = functional.avg_pool2d(values, 2, stride=1)
-            elif isinstance(layer, nn.Conv2d):
-                values = functional.conv2d(values, layer.weight, layer.bias, padding=2, dilation=2)
-            else:
-                values = layer(values)
-        return functional.relu(values)
+        features: Tensor = self._layers(_convert_to_caffe(images))
+        return features
+
+
+def _convolutions_and_poolings(network: D2Net) -> list[nn.Module]:
+    layers = network.dense_feature_extraction[0].children()
+    return [layer for layer in layers if not isinstance(layer, nn.ReLU)]
+
+
+def _dilate(convolution: nn.Conv2d) -> nn.Conv2d:
+    """Return a copy of a 3x3 convolution with a dilation of 2."""
+    dilated = copy.deepcopy(convolution)
+    dilated.padding = dilated.dilation = (2, 2)
+    return dilated
 
 
 def read_network(path: Path) -> tuple[D2Net, str]:

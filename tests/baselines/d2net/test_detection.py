@@ -8,7 +8,8 @@ import torch
 from torch import Tensor, nn
 
 from baselines.d2net.detection import detect, find_peaks
-from baselines.d2net.network import D2Net, D2NetNetConfig, read_network
+from baselines.d2net.localizer import SHIPPED
+from baselines.d2net.network import D2Net, D2NetNetConfig, DenseD2Net, read_network
 from objconnect.learning.checkpoint import write_weights
 from objconnect.scene.errors import InputError
 from tests.baselines.d2net import official
@@ -26,6 +27,10 @@ def slim(symmetric: bool = False) -> D2Net:
     return network
 
 
+def dense(network: D2Net) -> DenseD2Net:
+    return DenseD2Net(network, "float32")
+
+
 def picture() -> Tensor:
     return torch.from_numpy(official.pictures()[0].copy()).permute(2, 0, 1).float() / 255
 
@@ -33,7 +38,7 @@ def picture() -> Tensor:
 @pytest.mark.parametrize("scale", [0.5, 1.0, 2.0])
 def test_keypoints_of_a_mirrored_picture_are_mirrored(scale: float) -> None:
     """With symmetric kernels the network commutes with mirrors, and its pixels must too."""
-    network = slim(symmetric=True)
+    network = dense(slim(symmetric=True))
     found = detect(network, picture(), [scale])
     mirrored = detect(network, picture().flip(1, 2), [scale])
     assert len(found.xy) == len(mirrored.xy) > 0
@@ -44,7 +49,7 @@ def test_keypoints_of_a_mirrored_picture_are_mirrored(scale: float) -> None:
 
 def test_levels_agree_on_where_a_corner_is() -> None:
     """A level twice as fine sees the coarser one's picture when that is enlarged beforehand."""
-    network, image = slim(), picture()
+    network, image = dense(slim()), picture()
     large = nn.functional.interpolate(
         image[None], scale_factor=2, mode="bilinear", align_corners=True
     )[0]
@@ -54,6 +59,20 @@ def test_levels_agree_on_where_a_corner_is() -> None:
     back = (enlarged.xy - 0.5) * (size - 1) / (2 * size - 1) + 0.5
     assert torch.allclose(fine.xy, back, atol=1e-3)
     assert torch.allclose(fine.descriptors, enlarged.descriptors, atol=1e-4)
+
+
+def test_keypoints_in_bfloat16_are_those_in_single_precision() -> None:
+    network, _ = read_network(SHIPPED)
+    single, rounded = (
+        detect(DenseD2Net(network, precision), picture(), [2.0])
+        for precision in ("float32", "bfloat16")
+    )
+    distance, nearest = torch.cdist(single.xy, rounded.xy).min(1)
+    assert (distance < 0.25).float().mean() > 0.9
+    cosine = (single.descriptors * rounded.descriptors[nearest]).sum(1)
+    assert cosine[distance < 0.25].min() > 0.99
+    # One keypoint a peak: rounding makes no plateaus.
+    assert len(rounded.xy) == pytest.approx(len(single.xy), rel=0.05)
 
 
 def bump(x: float, y: float, across: float = 1.0) -> Tensor:
@@ -77,13 +96,13 @@ def test_an_edge_and_a_weaker_channel_are_no_peaks() -> None:
 
 def test_a_blank_picture_has_keypoints_at_most_at_its_border() -> None:
     """Where the padding of the convolutions reaches."""
-    found = detect(slim(), torch.full((3, 192, 192), 0.5), [1, 2])
+    found = detect(dense(slim()), torch.full((3, 192, 192), 0.5), [1, 2])
     assert not ((found.xy > 48) & (found.xy < 144)).all(1).any()
     assert torch.isfinite(found.descriptors).all()
 
 
 def test_a_picture_too_small_for_any_level_has_no_keypoints() -> None:
-    found = detect(slim(), torch.rand(3, 7, 200), [0.5, 1, 2])
+    found = detect(dense(slim()), torch.rand(3, 7, 200), [0.5, 1, 2])
     assert found.xy.shape == (0, 2)
     assert found.descriptors.shape == (0, 64)
 
@@ -95,7 +114,7 @@ def test_weights_are_read_as_they_were_written(tmp_path: Path) -> None:
     read, digest = read_network(path)
     assert read.config == SLIM
     assert len(digest) == 64
-    assert torch.equal(read.dense(picture()[None]), network.dense(picture()[None]))
+    assert torch.equal(dense(read)(picture()[None]), dense(network)(picture()[None]))
 
 
 def test_weights_of_another_network_are_refused(tmp_path: Path) -> None:

@@ -13,7 +13,13 @@ from torch import Tensor
 
 from baselines.d2net.detection import detect
 from baselines.d2net.loss import ImagePoints, triplet_loss
-from baselines.d2net.network import D2Net, D2NetNetConfig, read_network, soft_scores
+from baselines.d2net.network import (
+    D2Net,
+    D2NetNetConfig,
+    DenseD2Net,
+    read_network,
+    soft_scores,
+)
 from tests.baselines.d2net import official
 
 
@@ -51,7 +57,7 @@ def close(ours: Tensor, theirs: NDArray[np.float32]) -> None:
 
 def test_dense_features_are_the_authors(network: D2Net, recorded: dict[str, NDArray[Any]]) -> None:
     picture = image(official.pictures()[0])[None]
-    close(network.dense(picture), recorded["dense"])
+    close(DenseD2Net(network, "float32")(picture), recorded["dense"])
     close(network(picture), recorded["trained"])
 
 
@@ -70,7 +76,7 @@ def test_keypoints_are_the_authors(
     scales: tuple[float, ...],
 ) -> None:
     picture = image(official.pictures()[0][:height, :width])
-    ours = detect(network, picture, scales)
+    ours = detect(DenseD2Net(network, "float32"), picture, scales)
     theirs = recorded[f"{name}_yx"]
     assert len(ours.xy) == len(theirs)
 
