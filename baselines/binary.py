@@ -26,7 +26,7 @@ from objconnect.scene.maps.matching import match
 _ORB_STEP: Final = 1.2
 
 
-class Binary(Extractor):
+class BinaryExtractor(Extractor):
     """An extractor of features with binary descriptors.
 
     Each call creates a detector, because OpenCV does not document detectors as thread-safe.
@@ -69,7 +69,7 @@ class Binary(Extractor):
         return match(a, b, ratio**0.5)
 
 
-class Orb(Binary):
+class Orb(BinaryExtractor):
     """Extracts ORB (oriented FAST and rotated BRIEF), at most ``max_features`` in an image."""
 
     name = "orb"
@@ -93,7 +93,7 @@ class Orb(Binary):
         return np.asarray(in_level * size / np.round(size / step))
 
 
-class Akaze(Binary):
+class Akaze(BinaryExtractor):
     """Extracts accelerated KAZE with its M-LDB descriptor, at most ``max_features`` in an image."""
 
     name = "akaze"
@@ -117,9 +117,9 @@ class AkazeConfig(StructureConfig):
 class BinaryLocalizer(StructureLocalizer):
     """Localizes images by matches of binary features, and PnP."""
 
-    def __init__(self, config: StructureConfig, binary: Binary) -> None:
-        matcher = NearestNeighbours(binary, config.ratio)
-        super().__init__(config, binary, matcher, interpolate=True)
+    def __init__(self, config: StructureConfig, extractor: BinaryExtractor) -> None:
+        matcher = NearestNeighbours(extractor, config.ratio)
+        super().__init__(config, extractor, matcher, interpolate=True)
 
 
 class OrbLocalizer(BinaryLocalizer):

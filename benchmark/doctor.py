@@ -161,7 +161,7 @@ def doctor() -> Diagnosis:
         _device(loaded["torch"]),
         *(_package(r, loaded[r.module]) for r in loadable),
         *_rendering("simulate" in present),
-        *_optional(present - {"simulate"}),
+        *_extras(present - {"simulate"}),
         *_testing([r for r in requirements if r.extra == "test"]),
         *_weights([_ROOT / package for package in _WITH_WEIGHTS]),
     ]
@@ -248,7 +248,7 @@ def _machine() -> Iterator[Check]:
     yield Check("cores", "ok", f"{_cores()}")
     memory = _memory()
     yield Check("memory", "ok", "unknown" if memory is None else f"{memory / 1e9:.1f} GB")
-    for name, folder in (("disk here", Path.cwd()), ("disk temporary", _temporary())):
+    for name, folder in (("disk here", Path.cwd()), ("disk temporary", _temporary_folder())):
         free = shutil.disk_usage(folder).free
         space = f"{free / 1e9:.1f} GB free in {folder}"
         if free < _MIN_FREE_BYTES:
@@ -265,7 +265,7 @@ def _cores() -> int:
     return os.cpu_count() or 1
 
 
-def _temporary() -> Path:
+def _temporary_folder() -> Path:
     """Return the folder of temporary files, or the working folder where there is none."""
     try:
         return Path(tempfile.gettempdir())
@@ -329,7 +329,7 @@ def _rendering(installed: bool) -> Iterator[Check]:
         yield Check("Blender's libraries", "ok", "all installed")
 
 
-def _optional(present: set[str]) -> Iterator[Check]:
+def _extras(present: set[str]) -> Iterator[Check]:
     """Check the extras other than rendering; they are never "missing"."""
     for extra, (package, ability) in _EXTRAS.items():
         if extra not in {"simulate", *present}:

@@ -40,16 +40,16 @@ _IsGood = Callable[[QueryResult], bool]
 
 @dataclass(frozen=True)
 class Comparison:
-    """The comparison of one method on one data set by one figure.
+    """The comparison of one method on one data set by one metric.
 
     Attributes:
         method: name of the method.
         track: track of the data set.
         dataset: name of the data set.
         condition: condition of the compared queries, or "all".
-        threshold: name of the figure: the key of a threshold of recall, such as "0.5m_5deg", or
+        threshold: name of the metric: the key of a threshold of recall, such as "0.5m_5deg", or
             "not_false_fix", "not_wrong_1m" or "not_worse_than_prior".
-        change: change of the share of queries that are good by this figure, paired by query.
+        change: change of the share of queries that are good by this metric, paired by query.
         vanished: number of baseline queries that the results lack; they count as losses.
         dropped: whether the share fell by more than chance explains, or a query vanished.
         can_drop: whether losing all good queries would count as a drop.
@@ -102,7 +102,7 @@ def regress(results: Path, baseline: Path) -> list[Comparison]:
     Raises:
         InputError: there is no baseline, it is ``results`` itself, or a results file is missing,
             damaged, from other data or another start than the baseline, or with reference poses
-            that are too inexact for any figure.
+            that are too inexact for any metric.
     """
     if results.resolve() == baseline.resolve():
         raise InputError(f"{results} is compared with itself: name the baseline with --against")
@@ -162,18 +162,18 @@ def _compare(before: Results, after: Results, name: str) -> Iterator[Comparison]
     by_name = {query.name: query for query in after.queries}
     conditions = dict.fromkeys(query.condition for query in before.queries)
     scopes: Sequence[str] = [ALL, *conditions] if len(conditions) > 1 else [ALL]
-    families = [figures for figures in _figures(before, after) if figures]
+    families = [metrics for metrics in _metrics(before, after) if metrics]
     if not families:
         raise InputError(
-            f"{name}: the reference poses are too inexact to judge any figure: state their error "
+            f"{name}: the reference poses are too inexact to judge any metric: state their error "
             "in reference_error.json, or leave these results out"
         )
     for scope in scopes:
         queries = [q for q in before.queries if scope in (ALL, q.condition)]
         counterparts = [by_name.get(query.name) for query in queries]
-        for figures in families:
-            level = _ALPHA / (len(scopes) * len(figures))
-            for name, is_good in figures.items():
+        for metrics in families:
+            level = _ALPHA / (len(scopes) * len(metrics))
+            for name, is_good in metrics.items():
                 good_before = [is_good(query) for query in queries]
                 change = compare(good_before, [q is not None and is_good(q) for q in counterparts])
                 yield Comparison(
@@ -189,10 +189,10 @@ def _compare(before: Results, after: Results, name: str) -> Iterator[Comparison]
                 )
 
 
-def _figures(before: Results, after: Results) -> tuple[Mapping[str, _IsGood], ...]:
-    """Return functions that test whether a query is good, by figure: recall, then integrity.
+def _metrics(before: Results, after: Results) -> tuple[Mapping[str, _IsGood], ...]:
+    """Return functions that test whether a query is good, by metric: recall, then integrity.
 
-    A figure is left out if the reference poses are too inexact for it, or if it compares with the
+    A metric is left out if the reference poses are too inexact for it, or if it compares with the
     priors and the baseline records none.
     """
     unjudged = {*before.dataset.unjudged, *after.dataset.unjudged}

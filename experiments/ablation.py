@@ -29,7 +29,7 @@ from benchmark.results.results_files import load
 from benchmark.scoring.clustered import permutation_p
 from benchmark.scoring.paired import compare
 from benchmark.scoring.score import THRESHOLDS, is_correct, recall
-from benchmark.tracks.description import held_out
+from benchmark.tracks.description import read_held_out
 from objconnect.learning.checkpoint import shipped_path
 from objconnect.learning.training.command import train
 from objconnect.learning.training.config import TrainConfig
@@ -159,7 +159,7 @@ def _train(
         update={"network": _collect_explicit(variant.network), "weights": weights}
     )
     return train(
-        METHOD, trainable(METHOD), data, folder / "training", config, validation, held_out()
+        METHOD, trainable(METHOD), data, folder / "training", config, validation, read_held_out()
     )
 
 

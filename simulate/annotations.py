@@ -12,7 +12,7 @@ from objconnect.scene.bundle.frames import LAYERS
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.bundle.thermal import counts_path
 from objconnect.scene.storage.digests import sha256
-from objconnect.scene.storage.images import read_counts, read_rgb
+from objconnect.scene.storage.images import read_grey, read_rgb
 
 # A frame's surface is sampled at a grid of 16 x 16 points. Shares are multiples of 1/256 in a frame
 # without sky, and coarser in a frame with sky, whose points do not count.
@@ -65,7 +65,7 @@ def pixel_digests(scene: Scene) -> dict[str, dict[str, str]]:
                 arrays |= {layer: layers.read(layer, k) for layer in LAYERS if layers.has(layer)}
                 if scene.sessions[session].thermal is not None:
                     path = counts_path(scene.images_root, name)
-                    arrays["thermal"] = read_counts(path, camera, bits=16)
+                    arrays["thermal"] = read_grey(path, camera, bits=16)
                 digests[name] = {key: _sha256(array) for key, array in arrays.items()}
     return digests
 

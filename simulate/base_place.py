@@ -54,7 +54,7 @@ def base_place(
     return build_site(config.site, config.area, config.origin, config.seed, out)
 
 
-def keep_site(out: Path, place: World, report: SiteReport) -> None:
+def write_site(out: Path, place: World, report: SiteReport) -> None:
     """Write the place and the report of a site into the folder of the scene."""
     save_site(out / PLACE_FILE, place)
     write_json(out / REPORT_FILE, report)

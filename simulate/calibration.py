@@ -87,7 +87,7 @@ class Calibration:
     distance_m: Array
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the figures as a dictionary for JSON."""
+        """Return the results as a dictionary for JSON."""
         names = MODELS[self.truth.model]
         return {
             "model": self.truth.model,
@@ -113,7 +113,7 @@ class Calibration:
         }
 
     def text(self) -> str:
-        """Return the figures as a table."""
+        """Return the results as a table."""
         lines = [f"{self.truth.model} {self.truth.width} x {self.truth.height}"]
         lines.append(f"{'':4}{'truth':>14}{'found':>14}{'difference':>14}")
         for name, row in self.as_dict()["parameters"].items():
@@ -383,8 +383,8 @@ def _save_picture(result: Calibration, pictures: dict[str, NDArray[np.uint8]], p
     """Draw the views with detected (circles) and reprojected (crosses) corners."""
     columns = 4
     rows = -(-len(result.views) // columns)
-    tall = result.truth.height / result.truth.width
-    figure = Figure(figsize=(4 * columns, 4 * tall * rows + 0.3), layout="constrained")
+    aspect = result.truth.height / result.truth.width
+    figure = Figure(figsize=(4 * columns, 4 * aspect * rows + 0.3), layout="constrained")
     axes = list(figure.subplots(rows, columns, squeeze=False).flat)
     for ax in axes:
         ax.set_axis_off()

@@ -33,7 +33,7 @@ from objconnect.scene.storage.exif import Exif, write_jpeg
 from objconnect.scene.storage.locks import write_lock
 from objconnect.scene.storage.resumable import ResumableFolder
 from simulate.annotations import measure_covisibility, pixel_digests
-from simulate.base_place import check_site, keep_site, site_file
+from simulate.base_place import check_site, site_file, write_site
 from simulate.camera.lens import cover_by_pinhole
 from simulate.camera.sensor import expose
 from simulate.config import SessionConfig, SimulateConfig
@@ -98,7 +98,7 @@ def _simulate(
     require_space(out, estimate_bytes(left, pixels_per_frame, thermal=config.thermal))
     unfinished.begin()
     if plan.report is not None:
-        keep_site(out, plan.place, plan.report)
+        write_site(out, plan.place, plan.report)
     with _renderer(jobs, cluster) as renderer:
         for name, session, session_plan in zip(names, sessions, plans, strict=True):
             _make_session(out, name, session, config, session_plan, renderer)

@@ -30,7 +30,7 @@ from simulate.place.presets import SITE, preset
 from simulate.place.tiles import MAX_TILED_SIDE_M
 from simulate.render.job import Denoising
 from simulate.seeds import MAX_SEED, change_generator
-from simulate.session_words import Role, parse_session
+from simulate.session_syntax import Role, parse_session
 from simulate.twin.options import LEAST_SITE_M, SiteConfig
 
 # The most samples per pixel that Cycles accepts.

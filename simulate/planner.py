@@ -56,7 +56,7 @@ def session_generator(config: SimulateConfig, index: int) -> np.random.Generator
 
 
 def check_plans(config: SimulateConfig) -> None:
-    """Check that the mission plans of all sessions can be read, before a place is built slowly.
+    """Check that the mission plans of all sessions can be read, before the slow build of a place.
 
     Raises:
         InputError: A plan cannot be read, or has changed since the scene was configured.
@@ -83,8 +83,8 @@ def plan_session(
         camera: The camera of the photographs; its footprint is approximated by a pinhole.
         world: The place with the session's change.
         rng: The random generator of the session, see ``session_generator``.
-        free_test: Returns which positions (N, 3) are free for a camera; None takes the objects of
-            ``world``.
+        free_test: Returns which positions (N, 3) are free for a camera; None tests them against
+            the objects of ``world``.
 
     Returns:
         The poses ``cam_from_world`` (N, 4, 4) float64 in flying order.

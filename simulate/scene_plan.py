@@ -43,7 +43,7 @@ class ScenePlan(NamedTuple):
 
     Attributes:
         place: The place without changes. A tiled place has no objects here.
-        report: Report of a site that must be written; None otherwise.
+        report: Report of a site, if it must still be written; None otherwise.
         objects: Objects of all sessions, by ascending id. Of a tiled place, these are the objects
             of the tiles that photographs may show.
         worlds: The world of each session.

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 class TiledScene:
-    """The place of a scene in tiles, which are built where a flight needs them.
+    """The tiled place of a scene. A tile is built when a flight needs it.
 
     Args:
         place: The tiled place.
@@ -43,7 +43,7 @@ class TiledScene:
         def test(centres: Array) -> NDArray[np.bool_]:
             free = is_free(centres, self.land)
             inside = np.flatnonzero(free)
-            for index, here in self._place.group(centres[inside, :2]):
+            for index, here in self._place.group_by_tile(centres[inside, :2]):
                 at = inside[here]
                 changed = change_world(self._place.tile(index), self._changes[session]).world
                 moved = replace(
@@ -120,7 +120,7 @@ class NumberedTiles(NamedTuple):
 
     Attributes:
         objects: The objects of all sessions, by ascending id.
-        worlds: The world of each session, with those of these objects that the session has. The
+        worlds: The world of each session, with the session's own share of these objects. The
             ground of a world has the heights of the tiles.
         ids: For each session, the ids of each tile's objects.
     """

@@ -49,8 +49,9 @@ class D2NetConfig(StructureConfig, NetworkOptions):
     scales: tuple[float, ...] = Field(
         (2.0,),
         min_length=1,
-        description="Scales of the pyramid's levels, ascending. A keypoint is about as exact as a "
-        "cell of four pixels of its level: at scale 2 poses are twice as exact as at 1.",
+        description="Scales of the pyramid's levels, ascending. A keypoint's position is accurate "
+        "to about one cell, which is four pixels wide in its level: at scale 2, poses are twice as "
+        "accurate as at scale 1.",
     )
     max_edge: int = Field(
         2048,

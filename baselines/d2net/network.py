@@ -89,7 +89,8 @@ class DenseD2Net(nn.Module):
 
     The third pooling is an average with stride 1, and the convolutions after it are dilated, so
     that their receptive field is as in training. The average of 2 x 2 cells belongs to the corner
-    between them, which is half a cell further than the authors' code reports.
+    between them, which lies half a cell right of and below the position that the authors' code
+    reports.
 
     In bfloat16 the last convolution is still computed in single precision: bfloat16 has eight
     significant bits, so that features rounded to it would have plateaus instead of peaks.

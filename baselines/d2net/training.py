@@ -13,7 +13,7 @@ from baselines.d2net.loss import ImagePoints, TripletLoss, triplet_loss
 from baselines.d2net.network import STRIDE, D2Net, D2NetNetConfig, read_network, soft_scores
 from objconnect.learning.checkpoint import read_weights
 from objconnect.learning.training.config import TrainConfig
-from objconnect.learning.training.contrastive import contrastive, mean_over
+from objconnect.learning.training.contrastive import contrastive_loss, mean_over
 from objconnect.learning.training.pairs import PairBatch
 from objconnect.learning.vgg import IMAGENET_STD
 from objconnect.scene.config import load_config
@@ -69,7 +69,7 @@ class D2NetTraining:
         inside = _lie_inside(batch.xy_a, batch.image_a) & _lie_inside(batch.xy_b, batch.image_b)
         valid = batch.valid & inside
         cells = batch.xy_a / STRIDE, batch.xy_b / STRIDE
-        losses = contrastive(a, b, *cells, valid)
+        losses = contrastive_loss(a, b, *cells, valid)
         contrast = mean_over(valid, losses)
         figures = {"contrastive": float(contrast.detach())}
         if progress < self._warm_up:

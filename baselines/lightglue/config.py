@@ -30,8 +30,8 @@ class LightGlueConfig(MatchingConfig):
         gt=0,
         le=8,
         description="Factor by which images are resized before extraction; less where their longer "
-        "side would exceed 2048 pixels. A keypoint is about as exact as a pixel of the resized "
-        "image.",
+        "side would exceed 2048 pixels. A keypoint's position is accurate to about one "
+        "pixel of the resized image.",
     )
 
 

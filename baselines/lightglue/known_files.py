@@ -52,7 +52,7 @@ KNOWN_FILES: Final = (
         "b5b21d47ea24f2c5e501aec9c91b9716e4c8c3429a4dc1e615c133c4c9378335",
     ),
 )
-"""The files of the card ``lightglue.md``."""
+"""The files that the model card ``lightglue.md`` lists."""
 
 
 def require_network(path: Path, sha256: str, network: str) -> None:

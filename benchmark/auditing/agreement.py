@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 CHECK = "poses agree with the photographs"
 # A match agrees if its Sampson error (px) is at most this in a photograph of the working size. The
 # limit grows with the size, and is at least the second value.
-_AGREES_PX, _MIN_AGREES_PX = 2.0, 1.0
+_LIMIT_PX, _MIN_LIMIT_PX = 2.0, 1.0
 # Poses are right if this share of the matches agrees with them.
 RIGHT_SHARE = 0.7
 # Another convention is reported if it raises the share of agreeing matches by more than this.
@@ -66,7 +66,7 @@ def rays_of(pairs: Sequence[Pair], cameras: Sequence[Camera | None]) -> list[Ray
         is_valid = valid & valid_second
         scale = max(b.width, b.height) / WORKING_SIDE
         focal = float(np.mean(b.focal))
-        threshold = max(_AGREES_PX * scale, _MIN_AGREES_PX)
+        threshold = max(_LIMIT_PX * scale, _MIN_LIMIT_PX)
         all_rays.append(Rays(pair, first[is_valid], second[is_valid], focal, threshold))
     return all_rays
 

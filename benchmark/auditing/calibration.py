@@ -32,15 +32,15 @@ PRINCIPAL = "principal points fit the photographs"
 # A focal length is wrong if its relative error is significant and above the first value; otherwise
 # it fits if the standard error is below this value. It contradicts EXIF if the relative difference
 # is above the second.
-_FOCAL_FITS = 0.01
-_EXIF_FITS = 0.15
+_FOCAL_TOLERANCE = 0.01
+_EXIF_TOLERANCE = 0.15
 # A shift counts as half a pixel if its standard error (px) is below the first value and its
 # difference from the nearest multiple of 0.5 px is below the second.
 _HALF_SIGMA, _HALF_TOLERANCE = 0.1, 0.15
 # A principal point is wrong if its error is significant and above a limit, the larger of this many
 # pixels and this share of the longer side; otherwise it fits if the standard error is below half of
 # the limit.
-_PRINCIPAL_FITS, _PRINCIPAL_SHARE = 1.0, 1e-3
+_PRINCIPAL_TOLERANCE_PX, _PRINCIPAL_SHARE = 1.0, 1e-3
 # A deviation of more than this many standard errors is significant.
 _SIGMAS = 5.0
 # The fit is by Gauss-Newton. Its parameters are the logarithm of the focal factor and the shift of
@@ -53,7 +53,7 @@ _MIN_SIGMA_PX = 0.02  # lower bound of the scale of the residuals
 # Matches with an initial error above ``Rays.threshold`` times this are left out.
 _OUTLIER_FACTOR = 12.0
 # At most this many matches of a pair are used, and at least this many pairs are needed.
-_PER_PAIR = 150
+_MAX_PER_PAIR = 150
 _LEAST_PAIRS = 4
 # A ridge that keeps the step finite if the matches do not determine a parameter.
 _RIDGE = 1e-9
@@ -101,7 +101,7 @@ def fit_correction(
         pair = rays.pair
         agreeing = np.flatnonzero(sampson_errors(rays, poses) < _OUTLIER_FACTOR * rays.threshold)
         if len(agreeing):
-            thinned = agreeing[:: 1 + len(agreeing) // _PER_PAIR]
+            thinned = agreeing[:: 1 + len(agreeing) // _MAX_PER_PAIR]
             inliers.append(
                 Pair(pair.first, pair.second, pair.xy_first[thinned], pair.xy_second[thinned])
             )
@@ -197,10 +197,13 @@ def _check_focal(
     if fitted is not None:
         error, sigma = fitted.focal - 1, fitted.focal_sigma
         figures = {"factor": fitted.focal, "sigma": sigma}
-        if abs(error) > max(_FOCAL_FITS, _SIGMAS * sigma) and sigma < _EXIF_FITS / _SIGMAS:
+        if (
+            abs(error) > max(_FOCAL_TOLERANCE, _SIGMAS * sigma)
+            and sigma < _EXIF_TOLERANCE / _SIGMAS
+        ):
             detail = f"{1 / fitted.focal:.4f} times those that fit the matches (±{sigma:.2g})"
             return wrong(FOCAL, "focal-length", detail, **figures)
-        if sigma < _FOCAL_FITS:
+        if sigma < _FOCAL_TOLERANCE:
             return right(
                 FOCAL, f"within {abs(error):.2%} of the best fit (±{sigma:.2%})", **figures
             )
@@ -212,7 +215,7 @@ def _check_focal(
     if not ratios:
         return unknown(FOCAL, "neither matches nor EXIF determine them")
     ratio = float(np.median(ratios))
-    if abs(ratio - 1) > _EXIF_FITS:
+    if abs(ratio - 1) > _EXIF_TOLERANCE:
         return wrong(FOCAL, "focal-length", f"{ratio:.3f} times those in EXIF", exif_ratio=ratio)
     return right(FOCAL, f"{ratio:.3f} times the nominal ones in EXIF", exif_ratio=ratio)
 
@@ -231,13 +234,13 @@ def _check_principal(fitted: Correction | None, side: int) -> Finding:
         (np.abs(shift - half) < _HALF_TOLERANCE).all() and (sigma < _HALF_SIGMA).all()
     )
     if is_half and is_near_half and float((np.abs(shift) / sigma).max()) > _SIGMAS:
-        where = "low" if half.sum() > 0 else "high"
+        size = "small" if half.sum() > 0 else "large"
         detail = (
-            f"half a pixel {where}: one program counts pixels from the centre of the first pixel "
-            f"and the other from its corner (COLMAP); {best}"
+            f"their coordinates are half a pixel too {size}: one program counts pixels from the "
+            f"centre of the first pixel and the other from its corner (COLMAP); {best}"
         )
         return wrong(PRINCIPAL, "half-pixel", detail, **figures)
-    limit = max(_PRINCIPAL_FITS, _PRINCIPAL_SHARE * side)
+    limit = max(_PRINCIPAL_TOLERANCE_PX, _PRINCIPAL_SHARE * side)
     if bool((np.abs(shift) > np.maximum(limit, _SIGMAS * sigma)).any()):
         return wrong(PRINCIPAL, "principal-point", best, **figures)
     if bool((sigma < limit / 2).all()):

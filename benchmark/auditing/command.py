@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 log = logging.getLogger(__name__)
 
 # Number of photographs to match with each other, and length of the runs of neighbours among them.
-_MATCHED, _RUN = 32, 8
+_MAX_MATCHED, _RUN_LENGTH = 32, 8
 
 
 def audit(
@@ -111,7 +111,9 @@ def _check_geometry(
         findings, fitted = [unknown(CHECK, why)], None
     else:
         duplicates = photographs.duplicates
-        rows = [row for row in sample(len(stated), _MATCHED, _RUN) if row not in duplicates]
+        rows = [
+            row for row in sample(len(stated), _MAX_MATCHED, _RUN_LENGTH) if row not in duplicates
+        ]
         pairs = match_photographs(stated.files, cameras, rows)
         rays = rays_of(pairs, cameras)
         finding, converted, fitted = _check_poses_and_order(rays, cameras, poses, stated)
@@ -133,7 +135,8 @@ def _check_poses_and_order(
 
     Returns:
         The finding, the poses (N, 4, 4) in the right convention and order, and the correction of
-        the cameras. The poses are None if their order is unknown, the correction if none fits.
+        the cameras. The poses are None if their order is unknown; the correction is None if no
+        correction fits.
     """
     finding, converted = check_poses(rays, poses)
     if finding.verdict is Verdict.UNKNOWN:

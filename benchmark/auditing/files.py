@@ -20,7 +20,7 @@ SIZES = "photographs have the size of their cameras"
 UNIQUE = "every photograph is there once"
 
 # A line names at most this many pairs of duplicates.
-_NAMED = 3
+_MAX_NAMED = 3
 
 
 @dataclass(frozen=True)
@@ -121,8 +121,8 @@ def _check_duplicates(stated: StatedData, photographs: Photographs) -> Finding:
             twice.append(f"{owners[digest]} and {name}")
     if not twice:
         return right(UNIQUE, f"{len(owners)} different files")
-    more = f" and {len(twice) - _NAMED} more" if len(twice) > _NAMED else ""
-    detail = f"the same file has two names: {', '.join(twice[:_NAMED])}{more}"
+    more = f" and {len(twice) - _MAX_NAMED} more" if len(twice) > _MAX_NAMED else ""
+    detail = f"the same file has two names: {', '.join(twice[:_MAX_NAMED])}{more}"
     return wrong(UNIQUE, "duplicates", detail, photographs=float(len(twice)))
 
 

@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 # Photographs are shrunk to at most this many pixels on the longer side before they are matched.
 WORKING_SIDE = 1000
 # Largest number of keypoints of a photograph, and Lowe's ratio of descriptor distances.
-_FEATURES = 3000
+_MAX_FEATURES = 3000
 _RATIO = 0.8
 # Each photograph is matched with this many successors and with this many similar photographs.
 _SUCCESSORS = 2
@@ -77,7 +77,7 @@ def match_photographs(
             checked against a fundamental matrix.
         rows: photographs to match; those that cannot be read are left out.
     """
-    extract = SiftExtractor(SiftOptions(max_features=_FEATURES))
+    extract = SiftExtractor(SiftOptions(max_features=_MAX_FEATURES))
     features_of: dict[int, _PhotographFeatures] = {}
     with progress_bar("features", len(rows)) as advance:
         for done, row in enumerate(rows, 1):

@@ -329,7 +329,7 @@ def _read_times(files: Sequence[Path]) -> Iterator[tuple[Path, float]]:
 
 
 def _sort(stated: StatedData) -> StatedData:
-    """Return the photographs in the order of their names; names that are times, as numbers."""
+    """Return the photographs sorted by name; names that are times are sorted as numbers."""
     key: Callable[[int], float | str] = stated.names.__getitem__
     if _are_times(stated.names):
         key = lambda row: float(stated.names[row])  # noqa: E731

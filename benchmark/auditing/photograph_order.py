@@ -22,14 +22,14 @@ SHIFTS = tuple(k for distance in range(1, 6) for k in (distance, -distance))
 """The shifts to try, in photographs; a positive one gives a photograph the pose of a later one."""
 
 # A photograph with a smaller share of agreeing matches contradicts the others.
-_CONTRADICTS = 0.3
+_MIN_AGREEMENT = 0.3
 # Swapped names are sought among at most this many bad photographs, because every two are tried.
 _MOST_SWAPPED = 12
 # In the right order, photographs that share matches are nearer to each other, in the median, than
 # this factor times the median distance of any two photographs.
 _MAX_DISTANCE_RATIO = 0.7
 # A line names at most this many photographs, or pairs of swapped ones.
-_NAMED = 4
+_MAX_NAMED = 4
 
 
 def find_order(
@@ -69,12 +69,12 @@ def _find_contradictions(
 ) -> tuple[Finding, Array | None] | None:
     """Find single photographs that contradict the others, and whether two are swapped."""
     agreement = agreement_by_photograph(rays, poses)
-    bad = [row for row, value in agreement.items() if value < _CONTRADICTS]
+    bad = [row for row, value in agreement.items() if value < _MIN_AGREEMENT]
     if not bad:
         return None
     swapped = _find_swaps(rays, poses, bad)
     if swapped:
-        pairs = ", ".join(f"{names[a]} and {names[b]}" for a, b in swapped[:_NAMED])
+        pairs = ", ".join(f"{names[a]} and {names[b]}" for a, b in swapped[:_MAX_NAMED])
         reordered = poses.copy()
         for a, b in swapped:
             reordered[[a, b]] = reordered[[b, a]]
@@ -85,15 +85,15 @@ def _find_contradictions(
     ratio = _overlap_distance(rays, poses)
     if len(bad) > len(agreement) / 2 and ratio > _MAX_DISTANCE_RATIO:
         detail = (
-            f"{as_stated:.0%} of the matches agree, and photographs that overlap are "
-            f"{ratio:.1f} times as far apart as any two: names are shuffled, or positions are "
-            "of another flight"
+            f"{as_stated:.0%} of the matches agree, and the median distance between overlapping "
+            f"photographs is {ratio:.1f} times that of all pairs: names are shuffled, or positions "
+            "belong to another flight"
         )
         return wrong(CHECK, "names-shuffled", detail, agreeing=as_stated, ratio=ratio), None
     if len(bad) > len(agreement) / 2:
         return None
-    first_names = ", ".join(names[row] for row in bad[:_NAMED])
-    more = f" and {len(bad) - _NAMED} more" if len(bad) > _NAMED else ""
+    first_names = ", ".join(names[row] for row in bad[:_MAX_NAMED])
+    more = f" and {len(bad) - _MAX_NAMED} more" if len(bad) > _MAX_NAMED else ""
     detail = f"the poses of {first_names}{more} contradict those of the other photographs"
     return wrong(CHECK, "poses-off", detail, agreeing=as_stated, photographs=len(bad)), poses
 
@@ -131,7 +131,7 @@ def _find_swaps(rays: Sequence[Rays], poses: Array, bad: Sequence[int]) -> list[
 
 
 def _overlap_distance(rays: Sequence[Rays], poses: Array) -> float:
-    """Return the median distance of photographs that share matches, divided by that of any two."""
+    """Return the median distance of pairs that share matches, divided by that of all pairs."""
     positions = centres(poses)
     rows = sorted({row for r in rays for row in (r.pair.first, r.pair.second)})
     matched = [np.linalg.norm(positions[r.pair.first] - positions[r.pair.second]) for r in rays]

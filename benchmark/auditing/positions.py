@@ -31,24 +31,24 @@ HEIGHTS = "heights are those of the photographs"
 MIN_POSITIONS = 3
 # Positions agree with GPS if the residual after a similarity alignment is below this share of the
 # flight's extent.
-_AGREES = 0.3
+_MAX_RESIDUAL_SHARE = 0.3
 # A mistake is found if the residual shrinks to this share once it is corrected.
-_SHRINKS = 0.2
+_CORRECTED_SHARE = 0.2
 # A world is metric if the logarithm of its scale is below this; errors of GPS positions and of
 # their times change the scale by a few per cent.
-_METRIC = 0.05
+_MAX_LOG_SCALE = 0.05
 # Relative uncertainty of the scale above which the scale is unknown.
 _MAX_SCALE_UNCERTAINTY = 0.1
 # Smallest constant offset (m) that is not an error of the receiver.
-_OFFSET_M = 6.0
+_MIN_OFFSET_M = 6.0
 # Largest scatter (m) of the photographs' altitudes that still allows a comparison.
-_SCATTER_M = 8.0
+_MAX_SCATTER_M = 8.0
 _FEET = 0.3048
 # Only positions farther than this (m) from GPS are checked for mistakes in the coordinates.
-_MISTAKE_M = 1000.0
+_MIN_MISTAKE_M = 1000.0
 # Positions farther than this (m) from GPS belong to another site. Heights are then not compared,
 # because the earth curves in between.
-_ELSEWHERE_M = 20_000.0
+_OTHER_SITE_M = 20_000.0
 
 
 @dataclass(frozen=True)
@@ -115,8 +115,8 @@ def check_positions(
         positions: camera centres (N, 3) in its world, in the right convention; None for a table of
             geodetic positions.
         exif: metadata of each photograph; None if it cannot be read.
-        names_confirmed: whether the photographs already showed that names and poses belong
-            together; a delayed GPS is then not taken for wrong names.
+        names_confirmed: whether the matches already showed that names and poses belong together;
+            delayed GPS positions are then not reported as wrong names.
     """
     findings: list[Finding] = []
     measured = [None if e is None else e.position for e in exif]
@@ -178,7 +178,10 @@ def _stated_and_measured_xy(pairs: _PositionPairs) -> Array:
 
 
 def _report_missing_gps(stated: StatedData, count: int) -> Finding:
-    """Return the finding if too few photographs have GPS; invalid coordinates are still wrong."""
+    """Return the finding if too few photographs have GPS.
+
+    Stated coordinates that are not on earth are reported as wrong even then.
+    """
     if stated.geodetic is not None:
         is_off_earth = [not is_on_earth(Geodetic(*row)) for row in stated.geodetic.tolist()]
         if any(is_off_earth):
@@ -210,14 +213,14 @@ def _check_latlon(stated_geodetic: Array, fixes: Sequence[Geodetic]) -> tuple[Fi
         ((distance(each.correct(stated_geodetic)), each) for each in _LATLON_FAULTS),
         key=lambda item: item[0],
     )
-    if best < _SHRINKS * as_stated and as_stated > _MISTAKE_M:
+    if best < _CORRECTED_SHARE * as_stated and as_stated > _MIN_MISTAKE_M:
         detail = (
             f"{mistake.description}: corrected they are {best:.0f} m from GPS, as stated "
             f"{as_stated:.4g} m"
         )
         finding = wrong(LATLON, mistake.fault, detail, metres=as_stated, explained_metres=best)
         return finding, mistake.correct(stated_geodetic)
-    if as_stated > _ELSEWHERE_M:
+    if as_stated > _OTHER_SITE_M:
         why = f"they are {as_stated / 1000:.4g} km from GPS, and no swap, sign or unit explains it"
         return unknown(LATLON, why, metres=as_stated), stated_geodetic
     return right(LATLON, f"median {as_stated:.1f} m from GPS", metres=as_stated), stated_geodetic
@@ -247,7 +250,7 @@ def _compare(pairs: _PositionPairs, names_confirmed: bool, has_poses: bool) -> I
         return
     fitted, residual = _fit(pairs.stated, pairs.measured)
     scale = float(np.cbrt(max(np.linalg.det(fitted[:, :3]), 0.0)))
-    if residual > _AGREES * extent:
+    if residual > _MAX_RESIDUAL_SHARE * extent:
         yield _explain(pairs, residual, names_confirmed)
         return
     yield right(
@@ -256,8 +259,8 @@ def _compare(pairs: _PositionPairs, names_confirmed: bool, has_poses: bool) -> I
         residual_m=residual,
     )
     uncertainty = 3 * residual / (extent * np.sqrt(len(pairs.stated)))
-    if abs(np.log(max(scale, 1e-9))) > max(_METRIC, uncertainty):
-        unit = "feet" if abs(scale / _FEET - 1) < _METRIC else "an unknown unit"
+    if abs(np.log(max(scale, 1e-9))) > max(_MAX_LOG_SCALE, uncertainty):
+        unit = "feet" if abs(scale / _FEET - 1) < _MAX_LOG_SCALE else "an unknown unit"
         detail = f"one unit is {scale:.4g} m: the world is in {unit}"
         yield wrong(SCALE, "scale", detail, scale=scale)
     elif uncertainty > _MAX_SCALE_UNCERTAINTY:
@@ -290,7 +293,7 @@ def _explain(pairs: _PositionPairs, residual: float, names_confirmed: bool) -> F
     if len(stated) > 2 * max(SHIFTS) and not names_confirmed:
         shifted = {k: _fit(*_shift_pairs(stated, measured, k))[1] for k in SHIFTS}
         k = min(shifted, key=lambda key: shifted[key])
-        if shifted[k] < _SHRINKS * residual:
+        if shifted[k] < _CORRECTED_SHARE * residual:
             when = "earlier" if k > 0 else "later"
             detail = (
                 f"positions belong to the photographs {abs(k)} {when}: with this shift they are "
@@ -298,7 +301,7 @@ def _explain(pairs: _PositionPairs, residual: float, names_confirmed: bool) -> F
             )
             return wrong(ALIGNED, "positions-shifted", detail, **figures, photographs=float(-k))
     mirrored = _fit(stated * [1, 1, -1], measured)[1]
-    if mirrored < _SHRINKS * residual:
+    if mirrored < _CORRECTED_SHARE * residual:
         detail = f"the world is mirrored (left-handed): mirrored back it is {mirrored:.1f} m off"
         return wrong(ALIGNED, "world-mirrored", detail, **figures)
     if names_confirmed:
@@ -311,7 +314,7 @@ def _explain(pairs: _PositionPairs, residual: float, names_confirmed: bool) -> F
         distances = np.linalg.norm(stated[:, None, :2] - measured[None, :, :2], axis=-1)
         to_nearest = float(np.median(distances.min(1)))
         to_same_name = float(np.median(np.diag(distances)))
-        if to_nearest < _SHRINKS * to_same_name:
+        if to_nearest < _CORRECTED_SHARE * to_same_name:
             detail = (
                 f"names are shuffled: positions are {to_nearest:.1f} m (median) from the nearest "
                 f"GPS position, but {to_same_name:.1f} m from that of the same name"
@@ -333,7 +336,7 @@ def _check_offsets(pairs: _PositionPairs) -> Iterator[Finding]:
     scatter = SIGMA_OF_MEDIAN * np.median(np.abs(differences - middle), 0)
     distance_m = float(np.linalg.norm(middle[:2]))
     spread = float(np.linalg.norm(scatter[:2]))
-    limit = max(_OFFSET_M, 3 * spread / np.sqrt(len(differences)))
+    limit = max(_MIN_OFFSET_M, 3 * spread / np.sqrt(len(differences)))
     figures = {"east_m": float(middle[0]), "north_m": float(middle[1]), "scatter_m": spread}
     where = f"{middle[0]:+.1f} m east and {middle[1]:+.1f} m north of GPS"
     if distance_m > limit:
@@ -342,19 +345,19 @@ def _check_offsets(pairs: _PositionPairs) -> Iterator[Finding]:
     else:
         yield right(EAST_NORTH, f"{where} (median)", **figures)
     up, scatter_up, heights = _height_offset(differences, pairs.has_height)
-    if distance_m > _ELSEWHERE_M:
+    if distance_m > _OTHER_SITE_M:
         yield unknown(HEIGHTS, f"the photographs' GPS is {distance_m / 1000:.4g} km away")
         return
     if heights < MIN_POSITIONS:
         why = f"{heights} photographs have an altitude (GPSAltitude), {MIN_POSITIONS} are needed"
         yield unknown(HEIGHTS, why)
         return
-    if abs(up) <= max(_OFFSET_M, 3 * scatter_up / np.sqrt(heights)):
+    if abs(up) <= max(_MIN_OFFSET_M, 3 * scatter_up / np.sqrt(heights)):
         yield right(HEIGHTS, f"{_above_or_below(up)} them (median)", up_m=up, scatter_m=scatter_up)
-    elif scatter_up > max(_SCATTER_M, abs(up) / 3):
+    elif scatter_up > max(_MAX_SCATTER_M, abs(up) / 3):
         why = (
-            f"the photographs' altitudes scatter by {scatter_up:.1f} m, "
-            f"{_above_or_below(-up)} the heights"
+            f"the photographs' altitudes scatter by {scatter_up:.1f} m and are "
+            f"{_above_or_below(-up)} the stated heights (median)"
         )
         yield unknown(HEIGHTS, why, up_m=up, scatter_m=scatter_up)
     else:

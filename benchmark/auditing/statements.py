@@ -61,19 +61,19 @@ def centres(cam_from_world: Array) -> Array:
     return np.asarray(-np.einsum("nij,ni->nj", rotation, translation))
 
 
-def sample(count: int, most: int, run: int) -> Sequence[int]:
+def sample(count: int, max_rows: int, run: int) -> Sequence[int]:
     """Return rows of a sequence to examine: all, or several runs of neighbours spread over it.
 
-    Neighbours in the order of names were mostly taken one after another, so that they overlap.
+    Photographs with neighbouring names were mostly taken one after another, so that they overlap.
 
     Args:
         count: length of the sequence.
-        most: number of rows to return at most.
+        max_rows: maximum number of rows to return.
         run: length of a run.
     """
-    if count <= most:
+    if count <= max_rows:
         return range(count)
-    starts = np.linspace(0, count - run, most // run).astype(int)
+    starts = np.linspace(0, count - run, max_rows // run).astype(int)
     return sorted({int(start) + k for start in starts for k in range(run)})
 
 

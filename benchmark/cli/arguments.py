@@ -69,7 +69,7 @@ def parse_settings(overrides: Sequence[str] | None) -> dict[str, Any]:
     return settings
 
 
-def create_at_risk(method: str, settings: Mapping[str, Any], risk: float | None) -> Localizer:
+def create_with_risk(method: str, settings: Mapping[str, Any], risk: float | None) -> Localizer:
     """Create a localizer with the accepted risk of ``--risk``; None keeps the method's own.
 
     Raises:

@@ -11,7 +11,7 @@ from benchmark.cli.arguments import (
     check_folders,
     check_jobs,
     check_methods,
-    create_at_risk,
+    create_with_risk,
     open_distinct_datasets,
     parse_camera,
     parse_crs,
@@ -116,7 +116,7 @@ def localize(
         cache=cache,
     )
     check_folders([source, queries], cache)
-    localizer = create_at_risk(method, settings, risk)
+    localizer = create_with_risk(method, settings, risk)
     run = job.localize if video is None else job.localize_video
     answers = run(open_map(source), queries, localizer, out, options)
     localized = sum(answer.is_localized for answer in answers)

@@ -81,8 +81,9 @@ HorizontalSigma = Annotated[
     float | None,
     typer.Option(
         metavar="METRES",
-        help="Standard deviation of the orthophoto's horizontal position on earth, east and north "
-        "together. Without it, the accuracy of answers on earth (eph_m, epv_m) is unknown.",
+        help="Standard deviation of the orthophoto's horizontal position on earth: the root of the "
+        "summed variances to the east and north. Without it, the accuracy of answers on earth "
+        "(eph_m, epv_m) is unknown.",
         show_default="unknown",
         min=0,
         max=10_000,

@@ -89,7 +89,7 @@ def train(
     Under torchrun, several processes train together. To use the weights, pass --set weights=FILE to
     evaluate or localize.
     """
-    from benchmark.tracks.description import held_out
+    from benchmark.tracks.description import read_held_out
     from objconnect.learning.training.command import train as run
     from objconnect.learning.training.config import TrainConfig
     from objconnect.methods import trainable
@@ -97,7 +97,7 @@ def train(
 
     settings = load_config(TrainConfig, config, parse_settings(overrides))
     constructor = trainable(method)
-    weights = str(run(method, constructor, data, out, settings, validation or [], held_out()))
+    weights = str(run(method, constructor, data, out, settings, validation or [], read_held_out()))
     emit(Summary(weights, {"weights": weights}), as_json)
 
 

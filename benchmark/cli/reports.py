@@ -65,8 +65,8 @@ def leaderboard(
     """Compare results in one table per data set and starting information.
 
     Prints Markdown. With --out, also writes it as LaTeX tables and as one HTML page that opens as a
-    file, with charts, paired comparisons and every query. It shows the small pictures of queries
-    that evaluate wrote, and the basins of convergence that basin wrote, into the same folders.
+    file, with charts, paired comparisons and every query. The page also shows the small pictures
+    of queries and the basins of convergence that evaluate and basin wrote into the same folders.
 
     With --board, the queries of all places of a track are pooled by start, season and part of the
     track.
@@ -172,8 +172,8 @@ def view(
     """Write a scene as an interactive page and as a picture.
 
     The page shows the cameras with their photographs, the points of the map and those added to it,
-    the dense cloud, objects by whether they have points of the map, and the estimated poses of the
-    queries. It opens as a file, without a server or a network.
+    the dense cloud, objects coloured by whether they have points of the map, and the estimated
+    poses of the queries. It opens as a file, without a server or a network.
     """
     import webbrowser
 

@@ -252,7 +252,7 @@ def export(
 ) -> None:
     """Write the poses and cameras of a scene in the format of another program.
 
-    Photographs stay in the scene, except with --format cmu, video and rerun-images. Image names in
+    Photographs are not copied: only --format cmu, video and rerun-images hold them. Image names in
     the files are relative to SCENE/sessions, but in transforms.json they are relative to the file
     itself, and with --format opensfm and metashape they have no folders.
     An orthophoto is fused from the map's photographs.

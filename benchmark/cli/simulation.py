@@ -73,7 +73,7 @@ KeyFile = Annotated[
     Path | None,
     typer.Option(
         metavar="KEYFILE",
-        help="File of at least 16 random bytes, from which the seeds of sealed places follow.",
+        help="File of at least 16 random bytes, from which the seeds of sealed places are derived.",
     ),
 ]
 

@@ -124,8 +124,8 @@ def submission(
 ) -> None:
     """Check a submission to a track, and score its poses without photographs.
 
-    Refuses damaged files, poses of other data than the track records, and the method or the poses
-    of another submission. A query without a pose counts as failed.
+    Refuses damaged files, poses of data sets that the track does not record, and the method name or
+    the poses of another submission. A query without a pose counts as failed.
     """
     from benchmark.submissions.command import submission as run
     from benchmark.tracks.description import TRACKS_FOLDER

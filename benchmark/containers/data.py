@@ -56,12 +56,12 @@ def write_data(task: Task, start: Start, folder: Path) -> None:
     (folder / MAP).mkdir()
     for name in MODEL_FILES:
         if (task.model / name).is_file():
-            _place(task.model / name, folder / MAP / name)
+            _link_or_copy(task.model / name, folder / MAP / name)
     sparse_map = task.load_map()
     for name in sparse_map.names:
         # A method that needs a missing photograph reports it.
         if (task.images / name).is_file():
-            _place(task.images / name, folder / PHOTOGRAPHS / name)
+            _link_or_copy(task.images / name, folder / PHOTOGRAPHS / name)
     load = start.loader(task, sparse_map)
     cameras, pairs = [], []
     priors: dict[str, Any] = {}
@@ -82,7 +82,7 @@ def write_data(task: Task, start: Start, folder: Path) -> None:
         write_text(folder / PRIORS, json.dumps(priors, indent=1) + "\n")
 
 
-def _place(source: Path, target: Path) -> None:
+def _link_or_copy(source: Path, target: Path) -> None:
     """Link a file, or copy it where the file system has no links."""
     target.parent.mkdir(parents=True, exist_ok=True)
     try:
@@ -100,7 +100,7 @@ def _write_picture(folder: Path, name: str, rgb: NDArray[np.uint8]) -> None:
 
 
 def _describe_prior(prior: Prior) -> dict[str, Any]:
-    """Return a prior as JSON; what is unknown is null.
+    """Return a prior as JSON; unknown values are null.
 
     ``position`` and ``position_sigma`` are metres in the map's frame, ``cam_from_world`` is a
     quaternion w x y z, and the other sigmas are degrees.
@@ -114,12 +114,12 @@ def _describe_prior(prior: Prior) -> dict[str, Any]:
     sigma = prior.position_sigma
     return {
         "position": prior.position.tolist() if prior.has_position else None,
-        "position_sigma": None if sigma is None else [_finite(x) for x in sigma.tolist()],
+        "position_sigma": None if sigma is None else [_finite_or_none(x) for x in sigma.tolist()],
         "cam_from_world": None if quaternion is None else quaternion.quaternion().tolist(),
-        "attitude_sigma_deg": _finite(prior.attitude_sigma_deg),
+        "attitude_sigma_deg": _finite_or_none(prior.attitude_sigma_deg),
         "has_heading": prior.has_heading,
     }
 
 
-def _finite(number: float | None) -> float | None:
+def _finite_or_none(number: float | None) -> float | None:
     return number if number is not None and np.isfinite(number) else None

@@ -40,7 +40,7 @@ _PHOTOGRAPHS: Final = "rgb"
 _MAP: Final = "map"
 # Largest error of a camera centre (m) from the rounding of its quaternion. The error grows with the
 # coordinates.
-_MOST_UNCLEAR_M: Final = 0.01
+_MAX_ROUNDING_M: Final = 0.01
 
 
 class AerialExtreMatchReader:
@@ -133,10 +133,10 @@ def _read_world_poses(path: Path, scene: Scene) -> dict[str, Pose]:
     projection = Raster.open(scene.path.parent / heights.file, "surface model").grid.projection
     lift = torch.tensor([0.0, 0.0, heights.undulation_m], dtype=torch.float64)
     poses: dict[str, Pose] = {}
-    for name, pose in read_poses(path, max_rounding_m=_MOST_UNCLEAR_M).items():
+    for name, pose in read_poses(path, max_rounding_m=_MAX_ROUNDING_M).items():
         stem = Path(name).stem
         if stem in poses:
-            raise InputError(f"{path}: two poses are of {stem}: remove one of the lines")
+            raise InputError(f"{path} has two poses of {stem}: remove one of the lines")
         lifted = Pose(pose.rotation, pose.translation - pose.rotation @ lift)
         try:
             poses[stem] = world_pose(projection, scene.manifest.origin, lifted)

@@ -2,7 +2,7 @@
 
 The reader takes the unchanged download, which differs from its README and from what public loaders
 expect: pose files hold the camera's centre, not a translation; the name of each image states its
-camera, c0 or c1; pose files may be empty; images are distorted, although an example of a name
+camera, c0 or c1; pose files may be empty; images are distorted, although an example image name
 contains "rect" (rectified); the reference traversal is that of April 21, 2011, as its timestamps
 show.
 """

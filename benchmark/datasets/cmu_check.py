@@ -65,7 +65,7 @@ def check_map(folder: Path) -> Iterator[Check]:
     try:
         names = read_model(folder / "sparse").names
     except InputError as error:
-        yield _fault(folder, "sparse", f"{error}; {_unpack(folder)}")
+        yield _fault(folder, "sparse", f"{error}; {_advise_unpacking(folder)}")
         return
     missing = [name for name in names if not _has_bytes(folder / "database" / name)]
     if missing:
@@ -73,7 +73,7 @@ def check_map(folder: Path) -> Iterator[Check]:
             folder,
             "database",
             f"{len(missing)} of {len(names)} map photographs are missing or empty "
-            f"({name_some(missing)}): {_unpack(folder)}",
+            f"({name_some(missing)}): {_advise_unpacking(folder)}",
         )
 
 
@@ -110,7 +110,7 @@ def _check_slice(folder: Path) -> Iterator[Check]:
     yield from check_map(folder)
     photographs = list_queries(folder)
     if not photographs:
-        yield _fault(folder, "query", f"no photograph: {_unpack(folder)}")
+        yield _fault(folder, "query", f"no photograph: {_advise_unpacking(folder)}")
     strange = [name for name in photographs if not ImageName.matches(name)]
     if strange:
         yield _fault(
@@ -121,7 +121,7 @@ def _check_slice(folder: Path) -> Iterator[Check]:
         )
     empty = [name for name in photographs if not _has_bytes(folder / "query" / name)]
     if empty:
-        yield _fault(folder, "query", f"{name_some(empty)} empty: {_unpack(folder)}")
+        yield _fault(folder, "query", f"{name_some(empty)} empty: {_advise_unpacking(folder)}")
     yield from _check_lists(folder, photographs)
 
 
@@ -132,14 +132,14 @@ def _check_lists(folder: Path, photographs: Iterable[str]) -> Iterator[Check]:
         try:
             listed_names |= read(folder)
         except InputError as error:
-            yield _fault(folder, part, f"{error}; {_unpack(folder)}")
+            yield _fault(folder, part, f"{error}; {_advise_unpacking(folder)}")
     missing = sorted(listed_names.difference(photographs))
     if missing:
         yield _fault(
             folder,
             "query",
             f"{len(missing)} listed photographs are missing ({name_some(missing)}): "
-            f"{_unpack(folder)}",
+            f"{_advise_unpacking(folder)}",
         )
 
 
@@ -166,7 +166,7 @@ def _fault(folder: Path, part: str, detail: str) -> Check:
     return Check(f"{folder.name}/{part}", False, detail)
 
 
-def _unpack(folder: Path) -> str:
+def _advise_unpacking(folder: Path) -> str:
     return f"unpack {folder.name}.tar again"
 
 

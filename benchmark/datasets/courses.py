@@ -14,8 +14,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-SAME_M: Final = 10.0
-"""Two flights are on one course if the median distance of their cameras of the same number is below
+SAME_COURSE_M: Final = 10.0
+"""Two flights are on one course if the median distance between cameras with the same index is below
 this, metres. The median is 40 m or more between independent random flights over a square of 220 m,
 up to 14 m between drives along one street, some of which are thus on different courses, and 1 m
 between repeated surveys.
@@ -26,8 +26,8 @@ def find_courses(flights: Mapping[str, NDArray[np.float64]]) -> dict[str, str]:
     """Return the course of each flight: the name of the first flight that is on it.
 
     Two flights are on one course if they have equally many cameras and the median of the horizontal
-    distances between cameras of the same number is below ``SAME_M``, or if both are on one course
-    with a third. Heights are left out, because they follow the ground of each place.
+    distances between cameras with the same index is below ``SAME_COURSE_M``, or if both are on one
+    course with a third. Heights are left out, because they follow the ground of each place.
 
     Args:
         flights: camera centres (N, 3) of each flight in flying order, world metres.
@@ -43,4 +43,4 @@ def find_courses(flights: Mapping[str, NDArray[np.float64]]) -> dict[str, str]:
 def _are_near(centres: NDArray[np.float64], others: NDArray[np.float64]) -> bool:
     if len(centres) != len(others):
         return False
-    return float(np.median(np.linalg.norm((centres - others)[:, :2], axis=1))) < SAME_M
+    return float(np.median(np.linalg.norm((centres - others)[:, :2], axis=1))) < SAME_COURSE_M

@@ -49,7 +49,7 @@ def is_flight(path: Path) -> bool:
 
 
 def open_flight(path: Path, hard_only: bool = False) -> list[Dataset]:
-    """Open a flight and, where it has one, its hard split.
+    """Open a flight and, where it has one, its hard split, which has a sparser map.
 
     Args:
         path: folder of the flight.

@@ -44,8 +44,8 @@ def score(
 
     Raises:
         InputError: the file cannot be read or has no pose, a pose belongs to no query, a query has
-            two poses, the start is unknown, the method cannot name a file, or results there are
-            from another command.
+            two poses, the start is unknown, the method is not a valid file name, or another
+            command wrote results of this name.
     """
     require_method_name(method)
     starting_information = parse_start(start)
@@ -81,10 +81,10 @@ def score(
 
 
 def require_method_name(method: str) -> None:
-    """Refuse a name of a method that cannot name its results file.
+    """Refuse a method name that is not a valid name for a results file.
 
     Raises:
-        InputError: the name cannot name a file, or has the ending of basin files.
+        InputError: the name is not a valid file name, or has the ending of basin files.
     """
     require_name(method, "method")
     if f"{method}.json".endswith(BASIN):

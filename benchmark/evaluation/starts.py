@@ -90,14 +90,16 @@ class Start:
                 move_prior(_reference(query), query.name, self.metres, self.degrees)
             )
         if self.kind == "gravity":
-            return lambda query: query.load(tilt_prior(_reference(query), query.name, self.degrees))
+            return lambda query: query.load(
+                gravity_prior(_reference(query), query.name, self.degrees)
+            )
         if self.kind == "gps":
             return lambda query: query.load(
                 position_prior(_reference(query), query.name, self.metres)
             )
         if self.kind == "retrieval":
-            similar = _create_retriever(dataset, sparse_map, self.top, cache)
-            return lambda query: query.load(references=similar(query))
+            retrieve = _create_retriever(dataset, sparse_map, self.top, cache)
+            return lambda query: query.load(references=retrieve(query))
         if self.kind == "pairs":
             self._check_pairs(dataset, sparse_map)
             return lambda query: query.load(references=self.pairs[query.name])
@@ -112,7 +114,7 @@ class Start:
         if self.kind in ("error", "gravity", "gps") and not isinstance(dataset, Dataset):
             raise InputError(
                 f"start {self.name} is made from the reference poses, which are sealed in "
-                f"{dataset.name}: take none, prior, retrieval or pairs"
+                f"{dataset.name}: use the start none, prior, retrieval or pairs"
             )
 
     def _check_pairs(self, dataset: Task, sparse_map: SparseMap) -> None:
@@ -195,7 +197,7 @@ def _generator(name: str) -> np.random.Generator:
     return np.random.default_rng(int.from_bytes(bytes.fromhex(sha256(name))[:8], "little"))
 
 
-def tilt_prior(reference: Pose, name: str, degrees: float) -> Prior:
+def gravity_prior(reference: Pose, name: str, degrees: float) -> Prior:
     """Return a prior of gravity alone, such as that of a gimbal without a compass.
 
     Args:
@@ -267,11 +269,11 @@ def _create_retriever(
 
     index = VladIndex.build(LazyDescriptors(describe, len(names)))
 
-    def similar(query: TaskQuery) -> tuple[str, ...]:
+    def retrieve(query: TaskQuery) -> tuple[str, ...]:
         descriptors = sift.unit(sift(read_rgb(query.image, query.camera)).descriptors)
         return tuple(names[row] for row in index.rank(descriptors.numpy(), top))
 
-    return similar
+    return retrieve
 
 
 def _read_pair_list(path: Path) -> Start:

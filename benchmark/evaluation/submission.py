@@ -52,7 +52,8 @@ def submit(
         jobs: number of images at a time, in threads.
 
     Returns:
-        The number of localized images, and the number of images that are not left out.
+        The number of localized images, and the number of images that were to be localized: all
+        query images, or those with a pair.
 
     Raises:
         InputError: a file of the data set is missing, damaged or changed during the run, two

@@ -32,9 +32,9 @@ _CENTRE: Final = np.array([0.0, 0.0, 3.0, 5.0])
 _RIDGE: Final = np.array([0.3, 3.0, 3.0, 3.0])
 _ITERATIONS: Final = 50  # number of Newton steps
 _PSEUDO_COUNT: Final = 0.5  # added to the numbers of views with and without a fix
-# The risk of a false fix is computed as if there were this many more views, of which a share of
-# ``Calibration.false_share`` were false fixes.
-_USUAL_VIEWS: Final = 6.0
+# The risk of a false fix is regularized by this number of additional views, whose share of false
+# fixes is ``Calibration.false_share``.
+_PSEUDO_VIEWS: Final = 6.0
 # Standard deviation (m) of the Gaussian weights of neighbours: a view of a waypoint this far away
 # has 61 % of the weight of a view of the waypoint itself.
 POOL_M: Final = 20.0
@@ -152,8 +152,8 @@ def probability(evidence: Evidence, calibration: Calibration) -> Array:
 
 def false_risk(evidence: Evidence, calibration: Calibration) -> Array:
     """Return the probability of a false fix at each waypoint, (N,)."""
-    usual_false = _USUAL_VIEWS * calibration.false_share
-    return np.asarray((evidence.false + usual_false) / (evidence.views + _USUAL_VIEWS))
+    pseudo_false = _PSEUDO_VIEWS * calibration.false_share
+    return np.asarray((evidence.false + pseudo_false) / (evidence.views + _PSEUDO_VIEWS))
 
 
 def fit(rows: Array, is_fix: NDArray[np.bool_]) -> tuple[float, float, float, float]:

@@ -31,7 +31,7 @@ class ForecastConfig(Config):
         512,
         ge=64,
         le=4096,
-        description="Longer side of the views, pixels; smaller if the map's photographs are.",
+        description="Longer side of the views, pixels; at most that of the map's photographs.",
     )
     seed: int = Field(
         0,
@@ -58,8 +58,7 @@ class ForecastConfig(Config):
     waypoints: int = Field(
         30,
         ge=1,
-        description="Number of waypoints of a flight that does not determine it; a mission plan "
-        "does.",
+        description="Number of waypoints, unless the flight defines it, as a mission plan does.",
     )
     gap_m: float = Field(
         100.0,

@@ -26,7 +26,7 @@ CAUSES: Mapping[Cause, str] = {
 VERDICTS: Mapping[Verdict, str] = {
     "holds": "fixes all along",
     "gaps": "fixes with gaps that are too long",
-    "fails": "too few fixes to fly by",
+    "fails": "too few fixes to navigate by",
 }
 
 

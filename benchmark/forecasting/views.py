@@ -31,7 +31,7 @@ from simulate.twin.options import SiteConfig
 Array = NDArray[np.float64]
 
 # The heights of the origins of a map and its twin differ by at most this, metres.
-_SAME_UP_M = 0.1
+_ORIGIN_HEIGHT_TOLERANCE_M = 0.1
 # Standard deviation of the views' positions from the waypoint per axis (m), and of their attitudes
 # (deg).
 _DEVIATION_M: Final = 0.7
@@ -142,7 +142,7 @@ def _site_of(twin: Scene, scene: Scene) -> SiteConfig:
             f"{twin.path} is not the twin of a site: make one with 'simulate --preset site --from "
             f"{scene.path}', or leave --twin out"
         )
-    if not is_same_place(twin.manifest.origin, scene.manifest.origin, _SAME_UP_M):
+    if not is_same_place(twin.manifest.origin, scene.manifest.origin, _ORIGIN_HEIGHT_TOLERANCE_M):
         raise InputError(
             f"{twin.path} is the twin of another site than {scene.path}: their origins differ; "
             "leave --twin out"

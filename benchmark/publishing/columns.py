@@ -64,8 +64,8 @@ COLUMNS: Final[Mapping[str, Column]] = {
     "attitude_sigma_deg": Column("float", "standard deviation of attitude_prior, degrees"),
     "overlap": Column(
         "float",
-        "of a query: share of its pixels whose surface its best map photograph, the one that sees "
-        "most of it, sees too; null if not measured",
+        "of a query: share of its pixels whose surface is also visible in its best map photograph, "
+        "the one that shows most of this surface; null if not measured",
     ),
     "scale": Column(
         "float",

@@ -41,7 +41,7 @@ class Release:
     """The publisher's statements on a data set.
 
     Attributes:
-        license: SPDX identifier that the hub accepts; None for that of renders.
+        license: SPDX identifier that the hub accepts; None for the licence of renders.
         creator: person or organization; None if not stated.
         url: page of the data set; None if not stated.
         date: day of publication as YYYY-MM-DD; None if not stated.

@@ -84,7 +84,7 @@ def flight_rows(path: Path, dataset: Dataset, layers: Sequence[Layer]) -> SceneR
     frames = {map_session: _map_frames(sparse_map), name: _query_frames(dataset.queries)}
     for session in frames.values():
         check_arrays(path, session.names, {key: getattr(session, key) for key in FRAME_SHAPES})
-    _require_same(path, dataset.queries, frames[name])
+    _require_lossless(path, dataset.queries, frames[name])
     flight = Flight(
         name=name,
         path=path,
@@ -131,12 +131,12 @@ def _yield_known_values(prior: Prior) -> Iterator[tuple[str, NDArray[np.float64]
         yield "attitude_sigma_deg", prior.attitude_sigma_deg
 
 
-def _require_same(path: Path, queries: Sequence[BenchmarkQuery], frames: Frames) -> None:
-    """Refuse a query whose row would be read as another prior or pose."""
+def _require_lossless(path: Path, queries: Sequence[BenchmarkQuery], frames: Frames) -> None:
+    """Check that the stored rows reproduce the queries' priors and poses."""
     for k, query in enumerate(queries):
         stored = query_of(frames, k, query.image, query.group, query.condition, f"flight {path}")
         if digest_values(stored) != digest_values(query):
             raise InputError(
-                f"flight {path}: the prior of {query.name} cannot be published: state sigmas of "
-                "position and attitude, and none of the heading alone"
+                f"flight {path}: the prior of {query.name} cannot be published: give sigmas for "
+                "position and full attitude; a sigma for heading only is not supported"
             )

@@ -34,9 +34,9 @@ def leaderboard(results: Sequence[Path], out: Path | None = None) -> str:
         The Markdown text.
 
     Raises:
-        InputError: there are no results, a file is not a results file or its figures do not follow
-            from its queries, two files of one run differ, an album or basin beside it is damaged,
-            or ``out`` cannot be written.
+        InputError: there are no results, a file is not a results file or its summaries do not
+            match its per-query results, two files of one run differ, an album or basin beside it is
+            damaged, or ``out`` cannot be written.
     """
     if out is not None:
         check_outputs(

@@ -265,7 +265,7 @@ def compare_paired(
     """Return the change of recall between two runs on the same queries, as a page shows it.
 
     The interval and p are by course, and None with one course. The interval is at least as wide as
-    that of independent queries, because the variance between courses is 0 where all changed alike.
+    one for independent queries: the variance between courses is 0 if all courses change equally.
 
     Args:
         before: whether each query is correct in the first run.

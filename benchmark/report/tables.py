@@ -114,8 +114,8 @@ def groups(results: Sequence[Path]) -> list[Group]:
         results: results files, or folders of them.
 
     Raises:
-        InputError: there are no results, a file is not a results file or its figures do not follow
-            from its queries, or two files of one run differ.
+        InputError: there are no results, a file is not a results file or its summaries do not
+            match its per-query results, or two files of one run differ.
     """
     loaded: dict[tuple[str, str, str, str], list[tuple[Path, Results]]] = {}
     for path, run in _load_distinct([file for source in results for file in results_files(source)]):
@@ -123,7 +123,7 @@ def groups(results: Sequence[Path]) -> list[Group]:
         loaded.setdefault(key, []).append((path, run))
     _warn_of_versions(key[:3] for key in loaded)
     return [
-        Group(*key, members[0][1].dataset.map_conditions, tuple(_runs(_judge_alike(members))))
+        Group(*key, members[0][1].dataset.map_conditions, tuple(_runs(_unify_unjudged(members))))
         for key, members in sorted(loaded.items(), key=lambda item: item[0])
     ]
 
@@ -245,8 +245,8 @@ def _rows(run: Run) -> Iterator[Row]:
         yield Row(run.label, condition, summary)
 
 
-def _judge_alike(members: Sequence[tuple[Path, Results]]) -> list[tuple[Path, Results]]:
-    """Return results without figures at thresholds that one of them lists as unjudged.
+def _unify_unjudged(members: Sequence[tuple[Path, Results]]) -> list[tuple[Path, Results]]:
+    """Apply the longest list of unjudged thresholds in a group to all its results.
 
     The error of the reference poses may be stated after some results were written.
     """

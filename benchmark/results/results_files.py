@@ -121,7 +121,7 @@ def load(path: Path) -> Results:
 
     Raises:
         InputError: the file cannot be read or is not a results file, a query contradicts itself, or
-            the figures do not follow from the queries.
+            the summaries do not match the per-query results.
     """
     results = read_json(path, Results, "results file")
     seen: set[str] = set()
@@ -142,7 +142,7 @@ def load(path: Path) -> Results:
     for part in stored:
         if (where := _difference(stored[part], computed[part], part, replaced)) is not None:
             raise InputError(
-                f"results file {path}: {where} does not follow from its queries; "
+                f"results file {path}: {where} does not match its per-query results; "
                 "the file was changed after it was written; evaluate again"
             )
     return recomputed

@@ -1,6 +1,6 @@
 """The comparison of two runs on the same queries, where queries of one course fail together.
 
-The interval takes the courses for a sample of all courses, see ``intervals.mean_interval``. The
+The interval treats the courses as a sample of all courses, see ``intervals.mean_interval``. The
 permutation test exchanges the two runs course by course.
 """
 

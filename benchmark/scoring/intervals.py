@@ -1,7 +1,7 @@
 """Intervals of shares and means of queries, where queries of one course tend to fail together.
 
 Photographs of one course share light, weather, height, tilt and the ground below. An interval that
-takes them for independent is too narrow. If the recalls of 14 courses of 200 queries each have a
+treats them as independent is too narrow. If the recalls of 14 courses of 200 queries each have a
 mean of 90 % and a standard deviation of 5 points, it covers the truth in about half of all
 experiments instead of 95 %; ``tests/benchmark/scoring/test_intervals.py`` simulates this.
 """
@@ -78,17 +78,17 @@ def share_of_counts(right: NDArray[np.float64], size: NDArray[np.int64]) -> Inte
 def mean_interval(
     values: Sequence[float] | NDArray[np.float64], clusters: Sequence[str]
 ) -> tuple[float, float] | None:
-    """Return the 95 % interval of the mean of a figure of queries, by clusters.
+    """Return the 95 % interval of the mean of a value of each query, by clusters.
 
     The clusters are a sample of all clusters: cluster-robust variance with Student's t (Cameron and
     Miller, "A Practitioner's Guide to Cluster-Robust Inference", J. Human Resources 50, 2015).
 
     Args:
-        values: figure of each query; at least one.
+        values: value of each query; at least one.
         clusters: cluster of each query, such as its course.
 
     Returns:
-        The lower and the upper end, in the unit of the figure; None with one cluster.
+        The lower and the upper end, in the unit of the values; None with one cluster.
     """
     cluster = number_clusters(clusters)
     total = np.asarray(np.bincount(cluster, np.asarray(values, np.float64)), np.float64)

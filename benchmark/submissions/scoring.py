@@ -1,7 +1,7 @@
 """Scoring of submissions against the reference poses that a track keeps.
 
 The track's records of its renders hold the poses of all photographs, so that no scene has to be
-rendered. They are rounded to micrometres, which changes no figure.
+rendered. The poses are rounded to micrometres, which changes no score.
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ def _check(card: Card, folder: Path, track: Track) -> None:
             recorded = ", ".join(each[:12] for each in place.renders) or "none"
             raise InputError(
                 f"{folder}: its {place.dataset} is data set {digest[:12]}, not one that the track "
-                f"{track.name} records ({recorded}): localize a recorded render or a published copy"
+                f"{track.name} records ({recorded}): use a recorded render or a published copy"
             )
 
 

@@ -183,13 +183,13 @@ def _list_files(folder: Path, card: Card) -> dict[str, Path]:
     return files
 
 
-def _require_small(path: Path, most: int, what: str) -> None:
-    if (size := path.stat().st_size) > most:
-        raise InputError(f"{path} has {size} bytes: {what} has at most {most}")
+def _require_small(path: Path, max_bytes: int, what: str) -> None:
+    if (size := path.stat().st_size) > max_bytes:
+        raise InputError(f"{path} has {size} bytes: {what} has at most {max_bytes}")
 
 
 def require_few_lines(path: Path, dataset: str, queries: int) -> None:
-    """Refuse a file of more poses than queries before its numbers are read, which takes long.
+    """Refuse a file with more poses than queries, before its numbers are parsed, which is slow.
 
     Args:
         path: file of poses.
@@ -199,8 +199,8 @@ def require_few_lines(path: Path, dataset: str, queries: int) -> None:
     Raises:
         InputError: the file has more bytes or lines than the poses of these queries need.
     """
-    most = _COMMENT_BYTES + queries * _LINE_BYTES
-    _require_small(path, most, f"a file of poses of the {queries} queries of {dataset}")
+    max_bytes = _COMMENT_BYTES + queries * _LINE_BYTES
+    _require_small(path, max_bytes, f"a file of poses of the {queries} queries of {dataset}")
     lines = [line.strip() for line in read_text(path, "pose file").split("\n")]
     poses = sum(bool(line) and not line.startswith("#") for line in lines)
     if poses > queries:

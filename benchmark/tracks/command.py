@@ -20,7 +20,7 @@ from benchmark.tracks.description import (
     load_track,
     write_track,
 )
-from benchmark.tracks.difficulty import measure, measure_level, write_queries
+from benchmark.tracks.difficulty import measure, measure_flight, write_queries
 from benchmark.tracks.renders import difference, read_render, render_of, render_path, write_render
 from benchmark.tracks.sealing import read_key, sealed_seed
 from objconnect.mapping.build import build_map
@@ -302,7 +302,7 @@ def _record(name: str, tracks_folder: Path, reports: Sequence[PlaceReport]) -> t
         queries = _queries_file(tracks_folder, name, place)
         written.append(queries)
         if not is_scene(place.scene):
-            write_queries(queries, measure_level(open_flight(place.scene)[0]))
+            write_queries(queries, measure_flight(open_flight(place.scene)[0]))
             continue
         scene = Scene.open(place.scene)
         write_queries(queries, measure(scene))

@@ -37,7 +37,7 @@ _TRANSLATION_DECIMALS: Final = 4
 
 
 def compact(results: Results) -> Results:
-    """Return results with rounded numbers, and the figures that follow from them."""
+    """Return results with rounded numbers, and summaries computed from these."""
     summary = results.summary
     prepare = {"prepare": _round_digits(summary.seconds.prepare, _DIGITS)}
     run_figures = {
@@ -78,8 +78,8 @@ def targets_of(results: Sequence[Path], folder: Path) -> dict[Path, Results]:
         folder: folder of the track, with its ``track.yaml``.
 
     Raises:
-        InputError: a file is not a results file, belongs to no data set of the track, would have
-            the name of another one, or cannot be written.
+        InputError: a file is not a results file, belongs to no data set of the track, has the same
+            target as another one, or cannot be written.
     """
     require_folder(folder, "folder of the track")
     if not (folder / DESCRIPTION).exists():
@@ -89,7 +89,7 @@ def targets_of(results: Sequence[Path], folder: Path) -> dict[Path, Results]:
     targets: dict[Path, Results] = {}
     for file in files:
         run = compact(load(file))
-        _require_results(track, run, file)
+        _require_recorded_render(track, run, file)
         method = file.name.removesuffix(XZ_SUFFIX).removesuffix(".json")
         target = folder / RESULTS / run.start / run.dataset.name / f"{method}{PACKED}"
         if targets.get(target, run) != run:
@@ -115,7 +115,7 @@ def store(targets: Mapping[Path, Results]) -> list[Path]:
     return list(targets)
 
 
-def _require_results(track: Track, run: Results, file: Path) -> None:
+def _require_recorded_render(track: Track, run: Results, file: Path) -> None:
     """Refuse results on a data set or a render of it that the track does not record."""
     (place,) = track.select((run.dataset.name,))
     if run.dataset.sha256 not in place.renders:

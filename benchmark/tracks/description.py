@@ -46,12 +46,12 @@ class TrackPlace(Record):
         dataset: name of its folder and of the data set.
         preset: kind of a rendered place; None for a flight.
         seed: random seed of a rendered place; None for a flight, and for a sealed place, whose seed
-            follows from a key (``benchmark.tracks.sealing``).
+            is derived from a key (``benchmark.tracks.sealing``).
         renders: digests of the data set. A rendered one has one for each kind of machine; the
             renders differ by rounding only (``benchmark.tracks.renders``). Empty before it is
             recorded.
-        reference_error: error of its reference poses; None where they are exact. It holds for
-            stored results, whose data set need not state it.
+        reference_error: error of its reference poses; None where they are exact. It is used for
+            stored results too, even if their data set states none.
     """
 
     dataset: _Name
@@ -78,8 +78,8 @@ class Track(Record):
         starts: information on each query that methods get besides its image, as names of
             ``benchmark.evaluation.starts``.
         methods: names of the results files.
-        controls: for a method that differs from another one in a single part, the name of that
-            other one; they are compared only where all options that both have are equal.
+        controls: names of methods, by the name of their control, a method that differs in a single
+            part. Both are compared only if the options that both have are equal.
         held_out: what no training may use; None where the track declares nothing.
     """
 
@@ -102,7 +102,7 @@ class Track(Record):
 
     @field_validator("held_out")
     @classmethod
-    def _can_be_rendered(cls, held_out: HeldOut | None) -> HeldOut | None:
+    def _check_held_out(cls, held_out: HeldOut | None) -> HeldOut | None:
         """Refuse names that the simulator lacks, because they would hold out nothing."""
         if held_out is None:
             return None
@@ -118,7 +118,7 @@ class Track(Record):
         return held_out
 
     @model_validator(mode="after")
-    def _have_controls(self) -> Track:
+    def _check_controls(self) -> Track:
         controls = self.controls or {}
         for name in (*controls, *controls.values()):
             if name not in self.methods:
@@ -126,7 +126,7 @@ class Track(Record):
         return self
 
     @model_validator(mode="after")
-    def _are_rendered_alike(self) -> Track:
+    def _check_places(self) -> Track:
         is_sealed = all(place.is_sealed for place in self.places)
         for place in self.places:
             rendered = place.preset is not None, place.seed is not None or is_sealed
@@ -138,8 +138,8 @@ class Track(Record):
         return self
 
     @model_validator(mode="after")
-    def _can_be_sealed(self) -> Track:
-        """Refuse starts of sealed places that are made from their poses."""
+    def _check_starts(self) -> Track:
+        """Refuse starts that are made from reference poses, if the places are sealed."""
         for start in self.starts:
             if start.partition("=")[0] in _FROM_POSES and self.places[0].is_sealed:
                 raise ValueError(
@@ -195,7 +195,7 @@ def load_track(name: str, tracks_folder: Path = TRACKS_FOLDER) -> Track:
     return track
 
 
-def held_out(tracks_folder: Path = TRACKS_FOLDER) -> dict[str, HeldOut]:
+def read_held_out(tracks_folder: Path = TRACKS_FOLDER) -> dict[str, HeldOut]:
     """Return the held-out data of each track of a folder, by the name of the track.
 
     Raises:

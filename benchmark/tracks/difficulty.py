@@ -154,10 +154,10 @@ def measure(scene: Scene) -> list[QueryRow]:
     ]
 
 
-def measure_level(dataset: Dataset) -> list[QueryRow]:
-    """Return every query of a flight data set with its difficulty, on level ground.
+def measure_flight(dataset: Dataset) -> list[QueryRow]:
+    """Return every query of a flight data set with its difficulty.
 
-    The ground lies at the median height of the map's points, because flights have no depth.
+    Flights have no depth, so the ground is a level plane at the median height of the map's points.
 
     Raises:
         InputError: the map is damaged.
@@ -168,17 +168,17 @@ def measure_level(dataset: Dataset) -> list[QueryRow]:
         name: View(image.camera, image.cam_from_world, math.nan)
         for name, image in sparse_map.images.items()
     }
-    depths = {name: level_depth(view, ground) for name, view in views.items()}
+    depths = {name: ground_plane_depth(view, ground) for name, view in views.items()}
     rows = []
     for query in dataset.queries:
         view = View(query.camera, query.reference.matrix().numpy(), math.nan)
-        difficulty = _level_difficulty(view, ground, views, depths)
+        difficulty = _flight_difficulty(view, ground, views, depths)
         rows.append(QueryRow(query.name, query.condition, query.group, dataset.name, difficulty))
     return rows
 
 
-def level_depth(view: View, ground: float) -> NDArray[np.float32]:
-    """Return the depth (H, W) of level ground, metres; 0 where rays do not meet it.
+def ground_plane_depth(view: View, ground: float) -> NDArray[np.float32]:
+    """Return the depth (H, W) of a level ground plane, metres; 0 where rays do not meet it.
 
     Args:
         view: camera and pose.
@@ -193,7 +193,7 @@ def level_depth(view: View, ground: float) -> NDArray[np.float32]:
     return np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
 
 
-def _level_difficulty(
+def _flight_difficulty(
     query: View,
     ground: float,
     photographs: Mapping[str, View],
@@ -201,7 +201,7 @@ def _level_difficulty(
 ) -> Difficulty:
     """Return the difficulty of a query, given the photographs of the map and their depths."""
     points = surface_points(
-        query.camera, query.cam_from_world, level_depth(query, ground), _PER_SIDE
+        query.camera, query.cam_from_world, ground_plane_depth(query, ground), _PER_SIDE
     )
     world = torch.from_numpy(points)
     shares = {

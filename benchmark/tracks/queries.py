@@ -17,9 +17,9 @@ SAME: Final = "same"
 CHANGED: Final = "changed"
 """Name of the queries under all other conditions; no condition may have this name."""
 SEEN: Final = "seen"
-"""Name of the queries whose condition and kind of place training may use."""
+"""Name of the queries whose condition and kind of place are not held out of training."""
 UNSEEN: Final = ("unseen-condition", "unseen-place", "unseen-both")
-"""Names of the queries whose condition, kind of place or both training must not use; no
+"""Names of the queries whose condition, kind of place or both are held out of training; no
 condition may have these names."""
 
 _RESERVED: Final = (ALL_CONDITIONS, SAME, CHANGED, SEEN, *UNSEEN)
@@ -75,8 +75,8 @@ def _row(where: str, values: Mapping[str, str]) -> QueryRow:
     )
 
 
-def _number(where: str, values: Mapping[str, str], column: str, most: float) -> float | None:
-    """Return a number from 0 to ``most``; None for an empty cell."""
+def _number(where: str, values: Mapping[str, str], column: str, maximum: float) -> float | None:
+    """Return a number from 0 to ``maximum``; None for an empty cell."""
     text = values[column]
     if not text:
         return None
@@ -84,6 +84,6 @@ def _number(where: str, values: Mapping[str, str], column: str, most: float) -> 
         number = float(text)
     except ValueError:
         number = math.nan
-    if not 0 <= number <= most:
-        raise InputError(f"{where}: {column} {text!r} is not a number from 0 to {most:g}")
+    if not 0 <= number <= maximum:
+        raise InputError(f"{where}: {column} {text!r} is not a number from 0 to {maximum:g}")
     return number

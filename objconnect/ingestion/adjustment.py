@@ -87,7 +87,7 @@ def adjust(
     """
     raw = read_model(model_path)
     order = [photograph.name for photograph in photographs if photograph.name in raw.images]
-    georegistration, delay, used = _place(raw, order, fixes, times)
+    georegistration, delay, used = _georegister_with_delay(raw, order, fixes, times)
     positions = {n: used[n] for n in raw.names if n in used and n not in georegistration.blunders}
     sigma = np.minimum(georegistration.sigma, NO_ALTITUDE_SIGMA_M)
     without_altitude = find_missing_altitudes(positions)
@@ -147,7 +147,7 @@ def _raise_to_altitudes(adjusted: AdjustedModel, fixes: Mapping[str, Array]) -> 
     return replace(adjusted, model=adjusted.model.transform(shift))
 
 
-def _place(
+def _georegister_with_delay(
     raw: SparseMap,
     order: Sequence[str],
     fixes: Mapping[str, Array],

@@ -24,7 +24,7 @@ _APERTURES: Final = ("fnum", "f-num")
 
 @dataclass(frozen=True)
 class Lenses:
-    """Lenses of the subtitles of a file.
+    """Focal lengths and digital zoom in the subtitles of a file.
 
     Attributes:
         focals: 35 mm equivalent focal length of each subtitle without digital zoom, mm; None where
@@ -45,7 +45,7 @@ class Lenses:
 def parse_lenses(
     captions: Sequence[Caption], marks: DecimalMarks, map_focals: Collection[float]
 ) -> Lenses:
-    """Parse the lenses of a file's subtitles.
+    """Parse focal lengths and digital zoom in a file's subtitles.
 
     A subtitle without a value takes the value of the other subtitles if they all agree.
 

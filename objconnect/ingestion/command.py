@@ -15,7 +15,7 @@ from objconnect.ingestion.adjustment import AdjustedModel, adjust
 from objconnect.ingestion.attitude import find_upside_down
 from objconnect.ingestion.control import fit_to_control
 from objconnect.ingestion.control_points import ControlPoint, read_control_points
-from objconnect.ingestion.georeference import Receiver, estimate_georeference
+from objconnect.ingestion.georeference import GpsFixes, estimate_georeference
 from objconnect.ingestion.georegister import georegister
 from objconnect.ingestion.imported_poses import (
     ImportedPoses,
@@ -232,10 +232,8 @@ def _build(out: Path, source: _Source) -> IngestReport:
     sparse_map = write_map(out, model, queries, out / WORK / DATABASE)
     write_lists(out, model, images, queries)
     rotated_files = [image.file for image in images if image.name in rotated]
-    receiver = Receiver(fixes, {} if source.record.gps is not None else read_sigmas(images))
-    georeference = estimate_georeference(
-        model, adjusted.georegistration, receiver, residuals, options
-    )
+    gps = GpsFixes(fixes, {} if source.record.gps is not None else read_sigmas(images))
+    georeference = estimate_georeference(model, adjusted.georegistration, gps, residuals, options)
     findings = Findings(wrong_attitudes, rotated_files, residuals, georeference)
     report = make_report(photographs, flight, adjusted, fixes, sparse_map, findings)
     write_json(out / REPORT, report)

@@ -22,7 +22,7 @@ _MIN_FIXES = 3
 
 
 @dataclass(frozen=True)
-class Receiver:
+class GpsFixes:
     """GPS positions of a flight.
 
     Attributes:
@@ -38,7 +38,7 @@ class Receiver:
 def estimate_georeference(
     model: SparseMap,
     georegistration: Georegistration,
-    receiver: Receiver,
+    gps: GpsFixes,
     control: Sequence[ControlResidual],
     options: IngestOptions,
 ) -> Georeference | None:
@@ -55,15 +55,15 @@ def estimate_georeference(
     Args:
         model: The model in the world.
         georegistration: Its georegistration, with the scatter of its fixes.
-        receiver: The fixes.
+        gps: The GPS positions.
         control: The ground control points.
         options: The sigmas that cannot be measured.
     """
     by_control = _estimate_from_control(control, options)
-    used = [n for n in model.names if n in receiver.fixes and n not in georegistration.blunders]
+    used = [n for n in model.names if n in gps.fixes and n not in georegistration.blunders]
     if by_control is not None or len(used) < _MIN_FIXES:
         return by_control
-    stated = [receiver.stated_sigma.get(name) for name in used]
+    stated = [gps.stated_sigma.get(name) for name in used]
     measured = [sigma for sigma in stated if sigma is not None]
     if len(measured) == len(used):  # corrected positions, with heights above the ellipsoid
         shared = (np.array(measured) ** 2).mean(0)

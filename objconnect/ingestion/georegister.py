@@ -24,16 +24,16 @@ BLUNDER_SIGMAS: Final = 5.0
 usual error. The factor is large because drift makes the tails of a receiver's errors long."""
 
 USUAL_ERROR_M: Final = 5.0
-"""Usual error (m) of receivers without corrections. Fixes within it are not outliers."""
+"""Usual error (m) of receivers without RTK. Fixes with smaller residuals are not outliers."""
 
 MIN_SIGMA_M: Final = 0.02
-"""Lower bound (m) of standard deviations of positions: a receiver with corrections has this one."""
+"""Lower bound (m) of position standard deviations, the accuracy of an RTK receiver."""
 
 # Random samples of least median of squares. If half of the fixes are wrong, the probability that no
 # sample of three is right is (7/8)^500, about 1e-29.
 _SAMPLES: Final = 500
-# Minimum width of a flight, as a share of its length, from which on its positions determine the
-# rotation about its course.
+# Minimum ratio of the width of a flight to its length. The positions of a narrower flight do not
+# determine the rotation about its course.
 _MIN_WIDTH: Final = 0.05
 # GPS altitudes are rejected if ground and cameras agree with each other, and differ by more than
 # this from the vertical of GPS.
@@ -147,9 +147,10 @@ def _apply(similarity: Array, points: Array) -> Array:
 
 
 def _tilt_deg(similarity: Array, model: SparseMap, ground: Array) -> float:
-    """Return the smaller angle of a similarity's vertical to the ground's normal and the cameras.
+    """Return the angle by which a similarity's vertical contradicts the ground and the cameras.
 
-    It is 0 if ground and cameras differ more from each other.
+    It is the smaller of the angles to the ground's normal and to the cameras' mean backward axis,
+    or 0 if the angle between these two is larger.
 
     Args:
         similarity: Similarity from GPS with its altitudes.

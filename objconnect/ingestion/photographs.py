@@ -203,7 +203,7 @@ def make_photographs(
     longest: int,
     calibration: Camera | None,
 ) -> list[Photograph]:
-    """Return photographs with the cameras at which structure from motion starts.
+    """Return photographs with the initial cameras for structure from motion.
 
     Args:
         images: The photographs of a flight.

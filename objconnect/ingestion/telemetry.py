@@ -123,7 +123,7 @@ def read_telemetry(
     marks = DecimalMarks.of(number for caption in captions for number in caption.numbers(*_NUMBERS))
     positions = parse_positions(captions, marks, near)
     lens = parse_lenses(captions, marks, lenses)
-    heights = _Heights.of(captions, marks)
+    heights = _HeightParser.of(captions, marks)
     attitudes, doubt_of_gimbal = _parse_attitudes(captions, marks)
     flight = [
         Telemetry(
@@ -185,7 +185,7 @@ def find_telemetry(
 
 
 @dataclass(frozen=True)
-class _Heights:
+class _HeightParser:
     """The parser of a file's heights.
 
     Attributes:
@@ -200,7 +200,7 @@ class _Heights:
     doubts: tuple[str, ...]
 
     @staticmethod
-    def of(captions: Sequence[Caption], marks: DecimalMarks) -> _Heights:
+    def of(captions: Sequence[Caption], marks: DecimalMarks) -> _HeightParser:
         units: dict[str, str] = {}
         doubts: dict[str, None] = {}
         for caption in captions:
@@ -215,7 +215,7 @@ class _Heights:
         others = [unit for unit in units if unit and metres_per(unit) != 1]
         if others and "" in units:
             doubts[f"height {units['']} has no unit"] = None
-        return _Heights(marks, not others, tuple(doubts)[:2])
+        return _HeightParser(marks, not others, tuple(doubts)[:2])
 
     def read_first(self, caption: Caption, names: Sequence[str]) -> float | None:
         """Return the first valid height of the named fields, metres."""
@@ -272,7 +272,7 @@ def _parse_attitudes(
 
 
 def _is_in_range(angles: tuple[float, float, float]) -> bool:
-    return all(abs(angle) <= most for angle, most in zip(angles, LARGEST_ANGLES, strict=True))
+    return all(abs(angle) <= limit for angle, limit in zip(angles, LARGEST_ANGLES, strict=True))
 
 
 def _parse_gimbal(caption: Caption, marks: DecimalMarks) -> tuple[float, float, float] | None:

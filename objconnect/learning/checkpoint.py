@@ -1,4 +1,4 @@
-"""Files of weights: safetensors, and torch checkpoints, of which only tensors are read."""
+"""Files of weights: safetensors, and torch checkpoints, from which only tensors are read."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from objconnect.scene.storage.files import parse_json
 
 
 def shipped_path(path: Path) -> Path:
-    """Return the path of shipped weights.
+    """Return ``path``, the file of shipped weights, if it exists.
 
     Raises:
         InputError: the file does not exist.

@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from objconnect.learning.checkpoint import load_into, read_weights
 from objconnect.learning.damping import Damping
 from objconnect.learning.unet import Channels, Decoder, Level, check_levels
-from objconnect.learning.vgg import encode, keep_variance, vgg16_encoder
+from objconnect.learning.vgg import encode, initialise_convolutions, vgg16_encoder
 from objconnect.scene.config import Config, describe
 from objconnect.scene.errors import InputError
 
@@ -77,7 +77,7 @@ class PixlocNet(nn.Module):
         )
         self.confidence = nn.ModuleList(nn.Conv2d(size, 1, 1) for size in sizes)
         self.damping = nn.ModuleList(Damping() for _ in config.strides)
-        keep_variance(self)
+        initialise_convolutions(self)
 
     def forward(
         self, image: Tensor, levels: int | None = None, needed: NDArray[np.bool_] | None = None

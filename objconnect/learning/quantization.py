@@ -141,14 +141,14 @@ def _quantize_decoder(
     return levels
 
 
-def double(maps: Tensor) -> Tensor:
-    """Resize maps (B, C, h, w) bilinearly to (B, C, 2 h, 2 w); integers are rounded."""
+def upsample(maps: Tensor) -> Tensor:
+    """Upsample maps (B, C, h, w) bilinearly to (B, C, 2 h, 2 w); integers are rounded."""
     if maps.dtype != torch.uint8:
         return functional.interpolate(maps, scale_factor=2.0, mode="bilinear")
     if supports_loops(maps.device):
-        from objconnect.learning.upsampling import double_integers
+        from objconnect.learning.upsampling import upsample_integers
 
-        return double_integers(maps)
+        return upsample_integers(maps)
     # Along either axis, a new cell is 3/4 of the cell that contains it and 1/4 of the nearest other
     # cell.
     wide = maps.permute(0, 2, 3, 1).to(torch.int16)

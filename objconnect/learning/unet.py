@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor, nn
 
-from objconnect.learning.quantization import double
+from objconnect.learning.quantization import upsample
 from objconnect.learning.vgg import channels
 
 STRIDES: Final = (16, 8, 4, 2, 1)
@@ -215,7 +215,7 @@ def _decode(
             if left >= right:
                 continue
         y, x = _Window.of(top, bottom, rows), _Window.of(left, right, columns)
-        up = double(coarse[..., y.coarse, x.coarse])
+        up = upsample(coarse[..., y.coarse, x.coarse])
         fine = skip[..., :rows, :columns][..., y.fine, x.fine]
         up = up[..., y.shift :, x.shift :][..., : fine.shape[-2], : fine.shape[-1]]
         strip = head(step(torch.cat([up, fine], 1)))

@@ -13,19 +13,19 @@ from objconnect.scene.runtime.loops import compile_loop
 _SIGNATURE: Final = "void(u1[:,:,:,::1], u1[:,:,:,::1], i2[::1])"
 
 
-def double_integers(maps: Tensor) -> Tensor:
-    """Resize uint8 maps (B, C, h, w) as ``quantization.double`` does."""
+def upsample_integers(maps: Tensor) -> Tensor:
+    """Upsample uint8 maps (B, C, h, w) as ``quantization.upsample`` does."""
     cells = maps.permute(0, 2, 3, 1).contiguous().numpy()
     batch, height, width, channels = cells.shape
     out = np.empty((batch, 2 * height, 2 * width, channels), np.uint8)
     # Work space for a row with an additional column at either end.
     row = np.empty((width + 2) * channels, np.int16)
-    compile_loop(_double, _SIGNATURE)(cells, out, row)
+    compile_loop(_upsample, _SIGNATURE)(cells, out, row)
     return from_numpy(out).permute(0, 3, 1, 2)
 
 
-def _double(cells: NDArray[np.uint8], out: NDArray[np.uint8], row: NDArray[np.int16]) -> None:
-    """Write cells (B, h, w, C), resized, to ``out`` (B, 2 h, 2 w, C)."""
+def _upsample(cells: NDArray[np.uint8], out: NDArray[np.uint8], row: NDArray[np.int16]) -> None:
+    """Write cells (B, h, w, C), upsampled, to ``out`` (B, 2 h, 2 w, C)."""
     batch, height, width, channels = cells.shape
     count = np.uint64(channels)
     for item in range(batch):

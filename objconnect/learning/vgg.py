@@ -119,7 +119,7 @@ def _run_in_strips(layers: nn.Module, image: Tensor) -> Tensor:
     return pooled
 
 
-def keep_variance(network: nn.Module) -> None:
+def initialise_convolutions(network: nn.Module) -> None:
     """Initialise convolutions larger than 1x1 so that ReLUs keep the variance (He et al., 2015)."""
     for module in network.modules():
         if isinstance(module, nn.Conv2d) and module.kernel_size != (1, 1):

@@ -43,8 +43,8 @@ def list_initial_poses(
         sparse_map: the map.
         reference_rows: rows of the reference images in ``sparse_map.names``, best first; at least
             one.
-        same_place_m: without a prior, reference images farther apart than this (metres) are
-            separate poses though they share a heading; None for never.
+        same_place_m: without a prior, reference images farther apart than this (metres) give
+            separate poses even if they have the same heading; None: one pose per heading.
         headings: number of evenly spaced headings that are tried where the heading is unknown; 0
             tries the headings of the reference images.
     """

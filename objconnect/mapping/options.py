@@ -20,8 +20,8 @@ class MapOptions(Config):
     max_neighbours: int = Field(
         20,
         ge=1,
-        description="Maximum number of photographs that each one chooses to be matched with, those "
-        "of largest overlap.",
+        description="Maximum number of photographs with which each photograph is matched, those of "
+        "largest overlap; further photographs that choose it in turn are not counted.",
     )
     following: int = Field(
         4,

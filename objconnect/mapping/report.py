@@ -33,13 +33,13 @@ class ErrorSummary:
         )
 
     def text(self, unit: str) -> str:
-        """Return the figures as text."""
+        """Return the statistics as text."""
         return f"{self.mean:.3f}{unit} mean, {self.rms:.3f}{unit} rms, {self.max:.3f}{unit} at most"
 
 
 @dataclass(frozen=True)
 class MapReport:
-    """Figures of a map.
+    """Statistics of a map.
 
     Attributes:
         images: number of map frames.
@@ -70,11 +70,11 @@ class MapReport:
     options: Mapping[str, Any]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the figures as a dictionary for JSON."""
+        """Return the statistics as a dictionary for JSON."""
         return asdict(self)
 
     def text(self) -> str:
-        """Return the figures as text."""
+        """Return the statistics as text."""
         possible = self.images * (self.images - 1) // 2
         lines = [
             f"{self.registered} of {self.images} images registered, {self.pairs} of {possible} "

@@ -30,7 +30,7 @@ class CoarseLocalizerConfig(NetworkOptions):
 
 
 class CoarseLocalizer:
-    """Returns the best candidate of the coarse search, which no alignment refines.
+    """Returns the best candidate of the coarse search, without refinement by alignment.
 
     It implements ``objconnect.scene.localizer.Localizer``.
     """

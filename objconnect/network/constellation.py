@@ -54,7 +54,8 @@ class ConstellationGraph(nn.Module):
     """Graph network whose output describes each object among its neighbours by a vector.
 
     Attributes:
-        sharpness: logarithm of the factor on cosines between output vectors in a softmax.
+        sharpness: logarithm of the logit scale, the factor on cosines of output vectors in a
+            softmax.
     """
 
     def __init__(self, config: ConstellationConfig) -> None:

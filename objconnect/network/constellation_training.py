@@ -2,10 +2,10 @@
 
 ``python -m objconnect.network.constellation_training SCENE... --weights FILE --out FILE``
 
-The detector finds the objects of a scene's map and of its queries. An object of a query at the
-position of a landmark is that landmark. The graph network is trained to give these two similar
-vectors, and all other landmarks different ones. Headings and heights get errors as large as those
-of a search, and a random part of the objects is left out.
+The detector finds the objects of a scene's map and of its queries. Each object of a query is
+matched to the landmark at its position. The graph network is trained to give the two similar
+vectors, and all other landmarks different ones. Errors as large as those of a search are added to
+headings and heights, and a random part of the objects is left out.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from objconnect.scene.storage.images import read_rgb
 
 # Larger images are resized to this longer side (px), as in the localizer.
 LONGER_SIDE_PX: Final = 1024
-SAME_M: Final = 1.5
+MAX_LANDMARK_DISTANCE_M: Final = 1.5
 """Largest horizontal distance between an object and its landmark, metres."""
 # Number of queries in a step, all of one scene.
 _QUERIES: Final = 4
@@ -144,7 +144,7 @@ def build_training_scene(scene: Scene, finder: ObjectFinder) -> TrainingScene:
 def _landmark_at(xyz: NDArray[np.float64], landmarks: NDArray[np.float64]) -> NDArray[np.int64]:
     """Return the row (N,) of the landmark at each object's position; -1 for none.
 
-    Object and landmark are the nearest of each other, so that no landmark occurs twice.
+    Object and landmark are mutual nearest neighbours, so that no landmark occurs twice.
 
     Args:
         xyz: (N, 3) positions of objects, world metres.
@@ -156,7 +156,8 @@ def _landmark_at(xyz: NDArray[np.float64], landmarks: NDArray[np.float64]) -> ND
     distance = np.where(np.isfinite(distance), distance, np.inf)
     nearest = distance.argmin(1)
     mutual = distance.argmin(0)[nearest] == np.arange(len(xyz))
-    return np.where(mutual & (distance[np.arange(len(xyz)), nearest] < SAME_M), nearest, -1)
+    is_near = distance[np.arange(len(xyz)), nearest] < MAX_LANDMARK_DISTANCE_M
+    return np.where(mutual & is_near, nearest, -1)
 
 
 def describe_query(

@@ -107,13 +107,15 @@ def allowed_poses(
     tilts_deg: Sequence[float] = TILTS_DEG,
     headings: int = _HEADINGS,
 ) -> tuple[list[Tensor], Bounds]:
-    """Return the attitudes to try, and the turns from their heading, heights and region to allow.
+    """Return the attitudes to try, and the bounds of the poses to allow.
+
+    The bounds are turns from the headings of the attitudes, heights above the ground, and a region.
 
     Args:
         prior: prior of the query.
         heights: heights of the map's photographs above the ground, metres.
-        tilts_deg: tilts of the camera that are tried without an attitude, degrees.
-        headings: number of turns on the full circle.
+        tilts_deg: tilts of the camera to try if the prior has no attitude, degrees.
+        headings: number of headings on the full circle.
     """
     base, turns = possible_headings(prior, headings)
     bounds = Bounds(

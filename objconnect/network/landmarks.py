@@ -41,8 +41,8 @@ _RADIUS_SHARE: Final = 0.35
 _LEAST_COSINE: Final = 0.4
 # Maximum number of objects, of all photographs, that are compared with the best one of a landmark.
 _NEAREST: Final = 64
-# A landmark must be detected in at least this number, and this share, of the photographs that have
-# it in view, unless only one has.
+# A landmark must be detected in at least this number and this share of the photographs that have it
+# in view. A landmark that only one photograph has in view is kept.
 _LEAST_VIEWS: Final = 2
 _LEAST_SHARE: Final = 0.3
 
@@ -91,7 +91,7 @@ class Landmarks:
         return Landmarks(*(getattr(self, name)[rows] for name in self.ARRAYS))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the landmarks by the names of ``ARRAYS``; float32 becomes half precision."""
+        """Return the arrays of ``ARRAYS`` by name, with float32 converted to float16."""
         found = ((name, getattr(self, name)) for name in self.ARRAYS)
         return {name: v.astype(np.float16) if v.dtype == np.float32 else v for name, v in found}
 
@@ -140,7 +140,7 @@ def object_rays(found: Detections, camera: Camera, cam_from_world: Tensor) -> Ob
 
 @dataclass(frozen=True)
 class ObjectLayout:
-    """N objects on level ground; lengths are in heights of the camera above it.
+    """N objects on level ground; lengths are in units of the camera's height above it.
 
     Attributes:
         offset: (N, 2) from the point below the camera, to the east and north.

@@ -42,8 +42,8 @@ class ObjConnectLocalizer(FeaturemetricLocalizer):
     """The localizer ``objconnect``.
 
     Attributes:
-        objects: the objects in use, for the results: "none", or "learned" with their file and its
-            digest.
+        objects: description of the objects in use, for the results: "none", or "learned" with the
+            name and digest of the file of weights.
 
     Raises:
         InputError: the weights are missing, damaged or of another network, or ``objects`` is

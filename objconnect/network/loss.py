@@ -115,8 +115,8 @@ def measure_correspondence(
     shared = torch.zeros(batch, count * count, device=pair.device)
     shared = shared.scatter_add(1, pair, used.float()).view(batch, count, count)
     in_a, in_b = shared.sum(2), shared.sum(1)
-    either = (in_a[:, :, None] + in_b[:, None] - shared).clamp(min=1)
-    return (shared / either).amax(2), in_a >= _MIN_POINTS
+    union = (in_a[:, :, None] + in_b[:, None] - shared).clamp(min=1)
+    return (shared / union).amax(2), in_a >= _MIN_POINTS
 
 
 def object_confidence_loss(confidence: Tensor, target: Tensor, has_target: Tensor) -> Tensor:

@@ -18,7 +18,7 @@ import objconnect.learning.unet as unet
 from objconnect.learning.checkpoint import load_into, read_weights
 from objconnect.learning.damping import Damping
 from objconnect.learning.training.contrastive import sample
-from objconnect.learning.vgg import encode, keep_variance, scale_to_unit, vgg16_encoder
+from objconnect.learning.vgg import encode, initialise_convolutions, scale_to_unit, vgg16_encoder
 from objconnect.network.config import ObjConnectNetConfig
 from objconnect.network.constellation import ConstellationGraph
 from objconnect.network.detector import (
@@ -53,8 +53,8 @@ class ObjectBlocks(nn.Module):
     """The object blocks of one level that are switched on. Each adds to the features.
 
     Attributes:
-        residuals: by the name of the block, the norm of what it last added in training divided by
-            the norm of its input.
+        residuals: norm of the last residual of each block in training, divided by the norm of its
+            input, by name of the block.
     """
 
     def __init__(self, config: ObjConnectNetConfig, size: int) -> None:
@@ -112,7 +112,7 @@ class ObjConnectNet(nn.Module):
         self.confidence = nn.ModuleList(_head(size, 1) for size in sizes)
         self.trust = nn.Linear(object_sizes[-1], 1) if object_sizes else None
         self.damping = nn.ModuleList(Damping() for _ in config.strides)
-        keep_variance(self)
+        initialise_convolutions(self)
         self.detector = None
         if config.detector is not None:
             self.detector = ObjectDetector(config.detector, config.strides, config.dims)

@@ -130,14 +130,14 @@ def geometry_loss(
 
     # The tolerance of an offset grows with its length.
     tolerance = 1 + _TOLERANCE_SHARE * offset.abs().sum(1)
-    pointing = distance(maps.offset[:, 0] / tolerance, offset[:, 0] / tolerance)
-    pointing = pointing + distance(maps.offset[:, 1] / tolerance, offset[:, 1] / tolerance)
+    offset_loss = distance(maps.offset[:, 0] / tolerance, offset[:, 0] / tolerance)
+    offset_loss = offset_loss + distance(maps.offset[:, 1] / tolerance, offset[:, 1] / tolerance)
     losses = {
         "centres": -(positive + negative) / is_centre.sum().clamp(min=1),
         "inside": functional.binary_cross_entropy_with_logits(
             maps.inside.float()[known], (labels >= 0).float()[known]
         ),
-        "offsets": pointing,
+        "offsets": offset_loss,
         "sides": distance(maps.log_side, log_side),
         "rises": distance(maps.rise, rise),
     }

@@ -2,7 +2,7 @@
 
 Pairs of objects give hypotheses in closed form (``object_pairs``). The best ones are rated by the
 graph: it describes the photograph's objects among their neighbours, laid out on the ground by the
-hypothesis, and compares them with the landmarks at which they lie.
+hypothesis, and compares them with the landmarks nearest to their positions.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _DISTANCE_SIGMA_M: Final = 2.0
 # Rounds of the refinement of a candidate, and the least weight of a match in it.
 _REFINEMENTS: Final = 3
 _LEAST_WEIGHT: Final = 0.05
-# Least difference of two candidates in position, or else in heading.
+# Two candidates are distinct if their positions or their headings differ by more than this.
 _DISTINCT_M: Final = 8.0
 _DISTINCT_RAD: Final = math.radians(17)
 # Least number of objects of a photograph, because three objects fit anywhere in a map.
@@ -93,7 +93,7 @@ class ObjectMatcher:
         Args:
             found: objects of the photograph.
             camera: camera of the photograph.
-            attitudes: ``cam_from_world`` rotations (3, 3) to try, each with all headings allowed.
+            attitudes: ``cam_from_world`` rotations (3, 3) to try, each with all allowed headings.
             bounds: headings (clockwise turns of the camera from an attitude, seen from above),
                 heights above the ground and positions to allow.
         """
@@ -111,7 +111,7 @@ class ObjectMatcher:
             return []
         least = np.sort(np.concatenate([each.scores for each in tried]))[-_MAX_RATED:][:1]
         rated = [self._rate(each, least) for each in tried]
-        found_poses = [pose for each in rated for pose in self._candidates_of(each)]
+        found_poses = [pose for each in rated for pose in self._to_candidates(each)]
         kept = self._select_distinct(sorted(found_poses, key=lambda each: -each[0].score))
         if len(attitudes) == 1:
             return kept
@@ -153,7 +153,7 @@ class ObjectMatcher:
             scores[first : first + batch] += (ratio * weights).sum(1) / math.sqrt(len(layout))
         return tried._replace(poses=poses, scores=scores)
 
-    def _candidates_of(self, tried: _Hypotheses) -> list[tuple[Candidate, float]]:
+    def _to_candidates(self, tried: _Hypotheses) -> list[tuple[Candidate, float]]:
         """Return the hypotheses as candidates, each with its heading."""
         candidates = []
         for turn, place, score in zip(*tried.poses, tried.scores, strict=True):
@@ -168,7 +168,7 @@ class ObjectMatcher:
     def _refine(
         self, candidate: Candidate, found: Detections, camera: Camera, likeness: Likeness
     ) -> Candidate:
-        """Return a candidate whose pose, including the tilt, is refined to its matches."""
+        """Return a candidate with its pose, including the tilt, refined by its matches."""
         assert self._pairs is not None
         pose = candidate.pose
         directions, _ = camera.unproject(found.xy.double())

@@ -30,9 +30,11 @@ _TILE: Final = 800
 # Maximum number of partners of an object, and of matched pairs of all objects, which bounds time.
 _PARTNERS: Final = 6
 _MOST_PAIRS: Final = 1_000_000
-# Least distance of two partners, in heights of the camera: nearer ones give no exact heading.
+# Least distance of two partners, in units of the camera's height. Nearer ones give no exact
+# heading.
 _LEAST_BASE: Final = 0.12
-# Largest difference of the logarithms of the height from a pair and that from the objects' sizes.
+# Largest difference of the logarithms of two heights of the camera: the one from a pair of
+# matches and the one from the sizes of their objects.
 _SIZE_TOLERANCE: Final = 0.35
 # Largest ratio of a height, and largest difference of a heading (rad), to the nearest one allowed.
 _STRETCH: Final = 1.2
@@ -48,13 +50,14 @@ _MOST_CHANGE: Final = 0.3
 _BATCH: Final = 4096
 # Number of the best hypotheses, among which distinct ones are chosen.
 _BEST: Final = 4000
-# Least differences of distinct hypotheses: metres or, at one position, rad.
+# Two hypotheses are distinct if their positions or their headings differ by more than this.
 _DISTINCT_M: Final = 4.0
 _DISTINCT_RAD: Final = 0.2
-# Side of a cell of the nearest landmarks, metres, and the largest number of cells along an axis.
+# Side of a cell of the grid of nearest landmarks, metres, and the largest number of cells along an
+# axis.
 _CELL_M: Final = 1.0
 _MOST_CELLS: Final = 4096
-# Margin of these cells around the landmarks, metres.
+# Margin of this grid around the landmarks, metres.
 _MARGIN_M: Final = 4.0
 
 
@@ -76,7 +79,7 @@ class GroundPoses(NamedTuple):
         """Return the poses with these rows."""
         return GroundPoses(self.turn[rows], self.place[rows])
 
-    def carry(self, offset: _Complex) -> _Complex:
+    def transform(self, offset: _Complex) -> _Complex:
         """Return the positions (H, N) of objects at offsets (N,) from the camera."""
         positions: _Complex = self.place[:, None] + self.turn[:, None] * offset
         return positions
@@ -175,7 +178,7 @@ class PairSearch:
 
         The weight is a Gaussian of the distance, 1 at the object, with a sigma of ``sigma_m``.
         """
-        positions = poses.carry(offset)
+        positions = poses.transform(offset)
         rows, is_inside = self._nearest(positions)
         distance = np.abs(self._positions[rows] - positions)
         return rows, np.exp(-np.square(distance / sigma_m) / 2) * is_inside
@@ -268,7 +271,7 @@ def _tiles(xy: _Real, rows: NDArray[np.int64]) -> list[NDArray[np.int64]]:
 
 
 def _pairs(offset: _Complex, similar: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the rows of pairs of objects: each object with the nearest ones beyond a distance."""
+    """Return the rows of pairs: each object with the nearest ones at least ``_LEAST_BASE`` away."""
     count = len(offset)
     most = _MOST_PAIRS // (count * similar**2)
     partners = min(count - 1, max(1, min(_PARTNERS, most)))

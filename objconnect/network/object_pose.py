@@ -26,7 +26,7 @@ _MIN_MATCHES: Final = 6
 
 
 def refine_pose(pose: Pose, rays: _Vector, xyz: _Vector, weights: _Vector) -> Pose:
-    """Return the pose that fits matches best and keeps near the tilt of a first pose.
+    """Return the pose that fits the matches best and stays near the tilt of the first pose.
 
     Args:
         pose: first pose, ``cam_from_world``.

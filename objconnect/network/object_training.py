@@ -49,10 +49,10 @@ class ObjectTraining:
             maps = self._detector(levels)
         maps = DetectorMaps(each.float() for each in maps)
         stride = self._detector.config.stride
-        loss, figures = geometry_loss(maps, batch.objects, stride)
+        loss, logged = geometry_loss(maps, batch.objects, stride)
         identity, first_share = identity_loss(maps, batch.objects, stride)
-        figures |= {"identity": float(identity.detach()), "found first": first_share}
-        return loss + IDENTITY_SHARE * identity, figures
+        logged |= {"identity": float(identity.detach()), "found first": first_share}
+        return loss + IDENTITY_SHARE * identity, logged
 
     def groups(self, rate: float) -> list[dict[str, Any]]:
         """See ``Trainable``."""

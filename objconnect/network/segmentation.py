@@ -25,7 +25,7 @@ NOTHING: Final = -1
 _LONG_SIDE: Final = 192
 # SLIC converges within 5 iterations; 10 take twice the time.
 _SLIC_ITERATIONS: Final = 5
-# Weight of distances relative to colours in SLIC, as by its authors.
+# Weight of distances relative to colours in SLIC, the value of its authors.
 _SLIC_COMPACTNESS: Final = 10.0
 # Scale k of Felzenszwalb and Huttenlocher for colours in 0..1.
 _FELZENSZWALB_SCALE: Final = 100.0

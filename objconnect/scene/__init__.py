@@ -1,13 +1,13 @@
 """Types and files that all packages share: cameras, poses, maps, scenes, queries, estimates.
 
 No module here imports another package of the project, and none imports ``bpy``. Importing a module
-loads neither pycolmap (but for ``scene.colmap``) nor Ray; opening a scene does not load torch.
+loads neither pycolmap (except in ``scene.colmap``) nor Ray; opening a scene does not load torch.
 
 - ``geometry``: poses, cameras, projection, world coordinates.
 - ``maps``: sparse maps, features, matching.
 - ``bundle``: a scene as a folder on disk.
 - ``flights``: text files that describe a flight: poses, priors, cameras, origin.
-- ``quantities``: units, references and contradictions of numbers in files.
+- ``quantities``: the meaning of numbers in files: their units, order and reference.
 - ``imports``: poses and cameras read from the files of other programs.
 - ``exports``: a scene written in the formats of other programs.
 - ``checks``: the validation of a scene.

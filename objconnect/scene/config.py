@@ -41,12 +41,12 @@ class Config(Record):
         return value
 
 
-def _refuse_huge(value: Any, most: float) -> None:
-    if isinstance(value, int | float) and abs(value) > most:
-        raise ValueError(f"the absolute value of the number must be at most {most}")
+def _refuse_huge(value: Any, maximum: float) -> None:
+    if isinstance(value, int | float) and abs(value) > maximum:
+        raise ValueError(f"the absolute value of the number must be at most {maximum}")
     if isinstance(value, tuple | list):
         for item in value:
-            _refuse_huge(item, most)
+            _refuse_huge(item, maximum)
 
 
 def with_default(model: type[BaseModel], name: str, default: object) -> Any:
@@ -72,7 +72,7 @@ class _Loader(yaml.SafeLoader):
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[str] = set()
         for key, _ in node.value:
-            # A merge may stand twice in a mapping. No key of a configuration is a list or mapping.
+            # A mapping may have several merge keys (<<). Other keys of a configuration are scalars.
             if key.tag == "tag:yaml.org,2002:merge" or not isinstance(key, yaml.ScalarNode):
                 continue
             if key.value in seen:

@@ -147,7 +147,7 @@ class Estimate:
         reason: why the status is not ``ok``, in words.
         by: step that produced the pose; None if there is no pose or the method does not say.
         probability: probability that the method's best pose is within 5 m and 10 degrees of the
-            truth; for a fallback, that of the pose that was rejected. None if the method gives
+            truth; for a fallback, the probability of the rejected pose. None if the method gives
             none.
     """
 

@@ -146,7 +146,7 @@ def _surface(
     """Return the planar depth and the object at every position, both (H, W)."""
     corners, weights = _corners(xy)
     inverse = np.divide(1.0, depth, out=np.zeros(depth.shape), where=depth > 0)
-    flat = _flat(depth, inverse, instance)
+    flat = _find_flat(depth, inverse, instance)
     z = sum(w * inverse[c] for c, w in zip(corners, weights, strict=True))
     z = np.divide(1.0, z, out=np.zeros(z.shape), where=z > 0)
     plane = np.logical_and.reduce([flat[c] for c in corners])
@@ -186,7 +186,7 @@ def _surface(
     return z, shown
 
 
-def _flat(
+def _find_flat(
     depth: NDArray[np.float32], inverse: Array, instance: NDArray[np.uint16]
 ) -> NDArray[np.bool_]:
     """Return which pixels lie on one plane of one object with their four neighbours."""

@@ -65,7 +65,7 @@ class SensorConfig(Config):
     follows_light: bool = Field(
         False,
         description="Whether exposure time and gain follow the light of the condition. "
-        "``motion_blur_px`` and ``full_well_e`` are then those of summer noon. Dimmer light first "
+        "``motion_blur_px`` and ``full_well_e`` then apply to summer noon. Dimmer light first "
         "lengthens the exposure, up to 50 times, and then raises the gain, up to 32 times.",
     )
 

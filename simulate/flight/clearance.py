@@ -68,7 +68,7 @@ def is_free(centres: Array, world: World) -> NDArray[np.bool_]:
 
 
 def find_blocking(centres: Array, world: World) -> NDArray[np.int64]:
-    """Return the id of the object in or under whose box each position (N, 3) lies; 0 is none."""
+    """Return the id of the object whose box each position (N, 3) is in or under; 0 if none."""
     blocking = np.zeros(len(centres), np.int64)
     for item in world.objects:
         offset = centres - item.centre

@@ -11,7 +11,11 @@ from typing import Any, Final
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from objconnect.scene.errors import InputError
-from objconnect.scene.quantities.mission_heights import Above, above_of_frame, check_mode
+from objconnect.scene.quantities.mission_heights import (
+    HeightReference,
+    check_mode,
+    reference_of_frame,
+)
 from simulate.flight.command_names import NAMES
 
 # A plan may state one height twice; the two agree if they differ by at most this, metres.
@@ -159,25 +163,25 @@ class Command(BaseModel):
             raise self.error(f"has no {meaning} (params[{index}] is null)", "set it in the plan")
         return value
 
-    def height_reference(self) -> Above:
+    def height_reference(self) -> HeightReference:
         """Return the reference of the command's height, its last parameter.
 
         Raises:
             InputError: The frame has no heights, or the plan contradicts itself.
         """
-        above = above_of_frame(self.frame).require(
+        reference = reference_of_frame(self.frame).require(
             self.title, "make its height relative, absolute or above terrain"
         )
-        if contradiction := check_mode(self.mode, above):
+        if contradiction := check_mode(self.mode, reference):
             raise self.error(
                 f"contradicts itself: {contradiction}", "save the plan in QGroundControl again"
             )
         height, altitude = self.params[6], self.height
         if self.mode in (None, CALCULATED_ABOVE_TERRAIN) or altitude is None or height is None:
-            return above
+            return reference
         if abs(altitude - height) > _SAME_HEIGHT_M:
             raise self.error(
                 f"contradicts itself: Altitude is {altitude:g} m, params[6] is {height:g} m",
                 "save the plan in QGroundControl again",
             )
-        return above
+        return reference

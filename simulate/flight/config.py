@@ -319,7 +319,7 @@ def plan_digest(file: Path) -> str:
     return sha256(read_text(file, "mission plan"))
 
 
-WRITTEN_WITH_PATH: Final = {"plan": "file", "flown": "scene"}
+PATH_FIELDS: Final = {"plan": "file", "flown": "scene"}
 """The path field of each kind of flight that is written with a path."""
 
 
@@ -328,7 +328,7 @@ def _parse_word(flight: object) -> object:
     if not isinstance(flight, str):
         return flight
     kind, equals, path = flight.partition("=")
-    field = WRITTEN_WITH_PATH.get(kind) if equals else None
+    field = PATH_FIELDS.get(kind) if equals else None
     return {"kind": flight} if field is None else {"kind": kind, field: path}
 
 

@@ -62,7 +62,7 @@ def _target(commands: Sequence[Command], jump: Command) -> int:
         rows = [row for row, c in enumerate(commands) if c.jump_id == target_number]
     if len(rows) != 1:
         raise jump.error(
-            f"jumps to {target_number:g}, which is the number of {len(rows) or 'no'} commands",
+            f"jumps to {target_number:g}, but {len(rows) or 'no'} commands have that number",
             "save the plan in QGroundControl again",
         )
     return rows[0]

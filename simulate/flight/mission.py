@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objconnect.scene.errors import InputError
-from objconnect.scene.quantities.mission_heights import Above
+from objconnect.scene.quantities.mission_heights import HeightReference
 from simulate.flight.commands import (
     CAPTURES,
     CONDITIONS,
@@ -258,11 +258,11 @@ class Aircraft:
                 self.warnings.append(f"commands after {goal.title} are ignored")
         return not flies_on
 
-    def _arrive(self, goal: Command, unknown: str | None) -> None:
-        """Move to the position of a command; ``unknown`` says why it is not exactly known."""
+    def _arrive(self, goal: Command, unknown_because: str | None) -> None:
+        """Move to a command's position; ``unknown_because`` says why it is not exactly known."""
         target = self._positions.target(goal, self._position)
         self._position = self._position if target is None else target
-        self._leg, self._held_nose, self._unknown_because = None, None, unknown
+        self._leg, self._held_nose, self._unknown_because = None, None, unknown_because
 
     def _fly_to(self, goal: Command, waiting: list[Command]) -> None:
         """Fly straight to a position; in a frame above the ground, follow the terrain."""
@@ -278,15 +278,15 @@ class Aircraft:
         elif np.linalg.norm(leg[:2]) > 0.01:
             self._nose = math.atan2(leg[0], leg[1])
         self._leg = leg if length > 0.01 else self._leg
-        ground = self._positions.ground
-        heights = start[2] - ground(start), target[2] - ground(target)
-        follow = goal.height_reference() is Above.GROUND
+        ground_height = self._positions.ground_height
+        heights = start[2] - ground_height(start), target[2] - ground_height(target)
+        follow = goal.height_reference() is HeightReference.GROUND
 
         def position_at(flown: float) -> Array:
             share = flown / length if length else 0.0
             here = start + share * leg
             if follow:
-                here[2] = ground(here) + (1 - share) * heights[0] + share * heights[1]
+                here[2] = ground_height(here) + (1 - share) * heights[0] + share * heights[1]
             return np.asarray(here)
 
         if self._unknown_because and self._triggers.command:
@@ -318,16 +318,16 @@ class Aircraft:
     ) -> float:
         """Return the distance along a leg at which a condition is met, metres."""
         leg = target - start
-        length, level = float(np.linalg.norm(leg)), float(np.hypot(leg[0], leg[1]))
+        length, horizontal = float(np.linalg.norm(leg)), float(np.hypot(leg[0], leg[1]))
         if condition.command == Mav.CONDITION_DELAY:
             return flown + condition.number(0, "delay") * self._vehicle.speed(condition)
-        if level < 0.01:
+        if horizontal < 0.01:
             raise condition.error("is on a vertical leg", "remove it")
         if condition.command == Mav.CONDITION_DISTANCE:
             left = condition.number(0, "distance")
-            return max(length * (1 - left / level), flown)
+            return max(length * (1 - left / horizontal), flown)
         gate = self._positions.position_of(condition)
-        return float((gate - start)[:2] @ leg[:2]) / level**2 * length
+        return float((gate - start)[:2] @ leg[:2]) / horizontal**2 * length
 
     def _advance(self, position_at: Callable[[float], Array], flown: float, until: float) -> None:
         """Fly along a leg from ``flown`` to ``until`` metres, and take photographs."""
@@ -371,8 +371,8 @@ class Aircraft:
     def _photograph(self, position: Array) -> None:
         if self._turning_s > _SAME_S:
             raise InputError(
-                f"a photograph is taken while the camera turns, {self._turning_s:.1f} s before it "
-                "is still: turn it earlier, or remove the rate"
+                f"a photograph is taken while the camera turns, {self._turning_s:.1f} s before the "
+                "turn ends: turn it earlier, or remove the rate"
             )
         if len(self._exposures) >= MAX_PHOTOGRAPHS:
             raise too_many_photographs()

@@ -30,7 +30,7 @@ _FROM_NOSE, _BY_RATE, _FROM_NORTH = 0, 1, 2
 _HALF_TURN: Final = 180.0
 _FULL_TURN: Final = 360.0
 # Vectors with a smaller horizontal length are vertical: they have no heading.
-_MIN_LEVEL_M = 0.01
+_MIN_HORIZONTAL_M = 0.01
 
 
 @dataclass(frozen=True)
@@ -76,9 +76,9 @@ class Gimbal:
     """
 
     def __init__(self, pitch_deg: float) -> None:
-        """Point the camera along the nose at a pitch, to which it returns after a region.
+        """Point the camera along the nose at ``pitch_deg``.
 
-        A region is a region of interest.
+        The camera returns to these angles after a region of interest.
         """
         self._default = Angles(math.radians(pitch_deg))
         self.aim: Aim = self._default
@@ -95,7 +95,7 @@ class Gimbal:
     def cancel(self) -> bool:
         """Return to the default angles if the camera looks at a region or towards a waypoint.
 
-        Return whether it did and had other angles before, which are lost.
+        Return whether angles that were set before are lost by this.
         """
         had_others = self._angles_before != self._default
         if isinstance(self.aim, Region | TowardsNext):
@@ -162,7 +162,7 @@ class Gimbal:
         mode = command.number(6, "mode")
         if mode != _TARGETING:
             return Unknown(f"{command.title} has left the camera in mode {mode:g}")
-        _require_level(command, 1)
+        _require_no_roll(command, 1)
         pitch, yaw = command.number(0, "pitch"), command.number(2, "yaw")
         _require_degrees(command, {0: _HALF_TURN, 2: _FULL_TURN})
         return Angles(math.radians(pitch), math.radians(yaw), self._yaw_input == _FROM_NORTH)
@@ -218,13 +218,13 @@ def mount_roi_mode(command: Command) -> int | None:
 
 def towards_next(command: Command) -> TowardsNext:
     """Return the aim of a command with offsets of pitch, roll and yaw."""
-    _require_level(command, 5)
+    _require_no_roll(command, 5)
     _require_degrees(command, {4: _HALF_TURN, 6: _FULL_TURN})
     pitch, yaw = (math.radians(command.params[k] or 0.0) for k in (4, 6))
     return TowardsNext(pitch, yaw)
 
 
-def _require_level(command: Command, index: int) -> None:
+def _require_no_roll(command: Command, index: int) -> None:
     if command.params[index]:
         raise command.error(
             f"rolls the camera (params[{index}]), which is not supported", "set the roll to 0"
@@ -244,9 +244,9 @@ def _require_degrees(command: Command, max_degrees: dict[int, float]) -> None:
 
 def _direction(vector: Array, nose: float) -> tuple[float, float]:
     """Return heading and pitch of a vector (3,); a vertical one has the heading of the nose."""
-    level = float(np.hypot(vector[0], vector[1]))
-    heading = nose if level < _MIN_LEVEL_M else math.atan2(vector[0], vector[1])
-    return heading, math.atan2(vector[2], level)
+    horizontal = float(np.hypot(vector[0], vector[1]))
+    heading = nose if horizontal < _MIN_HORIZONTAL_M else math.atan2(vector[0], vector[1])
+    return heading, math.atan2(vector[2], horizontal)
 
 
 def _turning_s(

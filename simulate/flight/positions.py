@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic
-from objconnect.scene.quantities.mission_heights import Above
+from objconnect.scene.quantities.mission_heights import HeightReference
 from simulate.flight.commands import CALCULATED_ABOVE_TERRAIN, LANDINGS, Command, Mav
 from simulate.flight.context import GroundHeight
 from simulate.flight.vehicle import Vehicle
@@ -39,9 +39,9 @@ class Positions:
         self._vehicle, self._origin = vehicle, origin
         self._height_at, self._geoid_m = ground_height, geoid_m
         self.home = enu_from_geodetic(Geodetic(*vehicle.home, origin.altitude), origin)
-        self.home[2] = self.ground(self.home)
+        self.home[2] = self.ground_height(self.home)
 
-    def ground(self, position: Array) -> float:
+    def ground_height(self, position: Array) -> float:
         """Return the height of the ground at a position, world metres."""
         return float(self._height_at(position[:1], position[1:2])[0])
 
@@ -55,8 +55,10 @@ class Positions:
             return None
         has_no_location = not goal.params[4] and not goal.params[5]
         if goal.command in LANDINGS:
-            target = start.copy() if has_no_location else self._convert(goal, 0.0, Above.HOME)
-            target[2] = self.ground(target)
+            target = (
+                start.copy() if has_no_location else self._convert(goal, 0.0, HeightReference.HOME)
+            )
+            target[2] = self.ground_height(target)
             return target
         if has_no_location and goal.command in (Mav.TAKEOFF, Mav.VTOL_TAKEOFF, Mav.LOITER_TO_ALT):
             return self._move_to_height(start, goal.number(6, "altitude"), goal.height_reference())
@@ -74,7 +76,7 @@ class Positions:
             and command.params[6] is None
             and command.height is not None
         ):
-            return self._convert(command, command.height, Above.GROUND)
+            return self._convert(command, command.height, HeightReference.GROUND)
         return self._convert(command, command.number(6, "altitude"), command.height_reference())
 
     def mount_target_position(self, command: Command) -> Array:
@@ -88,13 +90,17 @@ class Positions:
         if command.frame not in (None, _MISSION_FRAME):
             return self._convert(command, height, command.height_reference())
         if self._vehicle.is_px4 or self._vehicle.is_ardupilot:
-            return self._convert(command, height, Above.SEA if self._vehicle.is_px4 else Above.HOME)
+            return self._convert(
+                command,
+                height,
+                HeightReference.SEA if self._vehicle.is_px4 else HeightReference.HOME,
+            )
         raise command.error(
             f"has an altitude in frame {command.frame}, whose reference is unknown",
             "use DO_SET_ROI_LOCATION",
         )
 
-    def _convert(self, command: Command, height: float, above: Above) -> Array:
+    def _convert(self, command: Command, height: float, reference: HeightReference) -> Array:
         """Return the position (3,) of a command's coordinates at a height."""
         latitude, longitude = command.number(4, "latitude"), command.number(5, "longitude")
         invalid = abs(latitude) > 90 or abs(longitude) > 180 or abs(height) > _HIGHEST_M
@@ -104,18 +110,21 @@ class Positions:
                 f"{longitude:g}, height {height:g} m: correct it"
             )
         altitude = self._origin.altitude
-        if above is Above.SEA:
+        if reference is HeightReference.SEA:
             altitude = height + (self._geoid_m or 0.0)
         position = enu_from_geodetic(Geodetic(latitude, longitude, altitude), self._origin)
-        return position if above is Above.SEA else self._move_to_height(position, height, above)
+        if reference is HeightReference.SEA:
+            return position
+        return self._move_to_height(position, height, reference)
 
-    def _move_to_height(self, position: Array, height: float, above: Above) -> Array:
+    def _move_to_height(self, position: Array, height: float, reference: HeightReference) -> Array:
         """Return a position moved to a height above a reference.
 
         The earth's curvature is neglected.
         """
-        if above is Above.SEA:
+        if reference is HeightReference.SEA:
             up = height + (self._geoid_m or 0.0) - self._origin.altitude
         else:
-            up = height + (self.home[2] if above is Above.HOME else self.ground(position))
+            at_home = reference is HeightReference.HOME
+            up = height + (self.home[2] if at_home else self.ground_height(position))
         return np.array([position[0], position[1], up])

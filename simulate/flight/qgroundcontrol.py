@@ -20,7 +20,7 @@ from objconnect.scene.bundle.manifest import read_json
 from objconnect.scene.errors import InputError
 from objconnect.scene.geo.crs import geoid_undulation
 from objconnect.scene.geometry.geodesy import Geodetic
-from objconnect.scene.quantities.mission_heights import Above, above_of_survey
+from objconnect.scene.quantities.mission_heights import HeightReference, reference_of_survey
 from simulate.flight.commands import HARMLESS, Command, Mav
 from simulate.flight.context import GroundHeight
 from simulate.flight.gimbal import Aims
@@ -36,7 +36,7 @@ _Longitude = Annotated[float, Field(ge=-180, le=180)]
 _Length = Annotated[float, Field(gt=0)]
 
 # MAV_FRAME by the reference of its heights.
-_FRAMES = {Above.SEA: 0, Above.HOME: 3, Above.GROUND: 10}
+_FRAMES = {HeightReference.SEA: 0, HeightReference.HOME: 3, HeightReference.GROUND: 10}
 _SEA_LEVEL_FRAMES = (0, 5)  # MAV_FRAME: global, with decimal and with integer coordinates
 
 
@@ -225,9 +225,9 @@ def _survey_commands(item: _ComplexItem, transects: _Transects, where: str) -> I
     if height is None or trigger is None:
         what = "the surface" if height is None else "the next photograph"
         raise InputError(f"{where} has no Items, and states no distance to {what}: {remedy}")
-    above = above_of_survey(camera.mode, camera.relative, transects.follows_terrain).require(
-        where, remedy
-    )
+    reference = reference_of_survey(
+        camera.mode, camera.relative, transects.follows_terrain
+    ).require(where, remedy)
     intervals = _intervals(item, transects, trigger)
     if intervals is None:
         raise InputError(
@@ -236,7 +236,7 @@ def _survey_commands(item: _ComplexItem, transects: _Transects, where: str) -> I
         )
     for row, (latitude, longitude) in enumerate(transects.points):
         params = (0.0, 0.0, 0.0, None, latitude, longitude, height)
-        yield Command(command=Mav.WAYPOINT, frame=_FRAMES[above], params=params)
+        yield Command(command=Mav.WAYPOINT, frame=_FRAMES[reference], params=params)
         if transects.hovers:
             once = (0.0, 0.0, 1.0, 0.0, None, None, None)
             yield Command(command=Mav.START_CAPTURE, params=once)

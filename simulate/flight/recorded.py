@@ -40,7 +40,7 @@ def read_flown_poses(flight: FlownFlight, context: FlightContext) -> Array:
     ]
     if not poses:
         raise InputError(
-            f"scene {flight.scene} has no photographs of the choice {flight.photographs!r}: set "
-            "photographs of the flight to map, queries or all"
+            f"scene {flight.scene} has no photographs for the option photographs "
+            f"{flight.photographs!r} of the flight: set it to map, queries or all"
         )
     return np.stack(poses)

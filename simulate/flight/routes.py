@@ -211,7 +211,7 @@ def free_aims(
     default_m = context.defaults.nadir_altitude_m
     lowest, highest = _FREE_ALTITUDES
 
-    def course(low: float, high: float) -> Array:
+    def draw_curve(low: float, high: float) -> Array:
         """Return a smooth random function of time, (frames,) values from ``low`` to ``high``."""
         periods = rng.uniform(*_PERIODS.T)
         phase = rng.uniform(0, 2 * np.pi, len(periods))
@@ -221,11 +221,11 @@ def free_aims(
 
     time = (np.arange(frames) + 0.5) / frames
     reach, aim_reach = 0.45 * context.side_m, 0.15 * context.side_m
-    x, y = course(-reach, reach), course(-reach, reach)
-    east, north = course(-aim_reach, aim_reach) - x, course(-aim_reach, aim_reach) - y
+    x, y = draw_curve(-reach, reach), draw_curve(-reach, reach)
+    east, north = draw_curve(-aim_reach, aim_reach) - x, draw_curve(-aim_reach, aim_reach) - y
     altitude_m = flight.altitude_m or (lowest * default_m, highest * default_m)
-    z = context.ground_height(x, y) + course(*altitude_m)
-    pitch = np.radians(course(*flight.pitch_deg))
+    z = context.ground_height(x, y) + draw_curve(*altitude_m)
+    pitch = np.radians(draw_curve(*flight.pitch_deg))
     return Aims(np.column_stack([x, y, z]), np.arctan2(east, north), pitch)
 
 
@@ -250,7 +250,7 @@ def _longest_road(context: FlightContext) -> Array:
 
 
 def _part_inside(road: Road, side_m: float) -> Array:
-    """Return equidistant points (N, 2) of a road, from its first to its last inside the place."""
+    """Return equidistant points (N, 2) of a road, from the first to the last inside the place."""
     points, _ = polyline_points(road.line, np.arange(0.0, polyline_length(road.line), _ROAD_STEP_M))
     inside = np.flatnonzero((np.abs(points) <= 0.5 * side_m).all(1))
     return points[inside[0] : inside[-1] + 1] if len(inside) else points[:0]

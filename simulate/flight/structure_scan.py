@@ -26,7 +26,7 @@ _VERSION: Final = 3
 _ABOVE_HOME: Final = 3  # MAV_FRAME
 # From a corner to the next, the structure is on the right.
 _TO_THE_RIGHT_DEG: Final = 90.0
-_MOST_LAYERS: Final = 1000
+_MAX_LAYERS: Final = 1000
 _ROUNDING: Final = 1e-6  # tolerance of a computed number of layers
 
 _Length = Annotated[float, Field(gt=0, le=10_000)]
@@ -95,9 +95,9 @@ class StructureScan(BaseModel):
                 f"{where} is a StructureScan of version {self.version}, which is not supported: "
                 "save it again in QGroundControl"
             )
-        if not 1 <= self.layers <= _MOST_LAYERS or self.layers != int(self.layers):
+        if not 1 <= self.layers <= _MAX_LAYERS or self.layers != int(self.layers):
             raise InputError(
-                f"{where} has {self.layers:g} Layers: set a whole number from 1 to {_MOST_LAYERS}"
+                f"{where} has {self.layers:g} Layers: set a whole number from 1 to {_MAX_LAYERS}"
             )
         exact_layers = max(self.top_m - self.bottom_m, 0.0) / self.layer_spacing_m
         if self.layers not in [max(math.ceil(exact_layers + off), 1) for off in (-_ROUNDING, 0.0)]:

@@ -11,7 +11,7 @@ from simulate.flight.context import MAX_PHOTOGRAPHS
 
 # Tolerance of distances (m) and times (s) at which a photograph is due.
 _TOLERANCE = 1e-6
-_PER_MILLISECOND = 0.001
+_SECONDS_PER_MS = 0.001
 # Minimum time (s) between photographs of a drone's camera.
 _MIN_INTERVAL_S = 0.05
 # A restarted distance trigger takes a photograph at once only if the last one is farther away (m).
@@ -148,25 +148,25 @@ class Triggers:
         return shoot == 1
 
     def _trigger_by_distance(self, command: Command) -> bool:
-        every = command.number(0, "distance")
-        at_once = command.number(2, "trigger at once") if every > 0 else command.params[2] or 0
+        spacing_m = command.number(0, "distance")
+        at_once = command.number(2, "trigger at once") if spacing_m > 0 else command.params[2] or 0
         if at_once not in (0, 1):
             raise command.error(f"has params[2] {at_once:g}", "set it to 0 or 1")
         repeater = self.running.get(Mav.TRIGGER_DISTANCE)
         since_m = math.inf if repeater is None else repeater.since_m
         takes_photograph = at_once == 1 and since_m > _MIN_DISTANCE_M
-        if every > 0:
-            self._start(command, every)
+        if spacing_m > 0:
+            self._start(command, spacing_m)
             self.running[Mav.TRIGGER_DISTANCE].since_m = 0.0 if takes_photograph else since_m
-        elif every in (0, -1):
+        elif spacing_m in (0, -1):
             self._stop(command, Mav.TRIGGER_DISTANCE)
         else:
-            raise command.error(f"has the distance {every:g} m (params[0])", "set it above 0")
+            raise command.error(f"has the distance {spacing_m:g} m (params[0])", "set it above 0")
         return takes_photograph
 
     def _oblique(self, command: Command) -> None:
-        every = command.number(0, "distance")
-        if every > 0:
+        spacing_m = command.number(0, "distance")
+        if spacing_m > 0:
             raise command.error(
                 "swings the camera from side to side in an unknown order",
                 "trigger by distance",
@@ -179,13 +179,13 @@ class Triggers:
         The first cycle begins with a photograph.
         """
         cycle_ms = command.number(0, "cycle")
-        if 0 < _PER_MILLISECOND * cycle_ms < _MIN_INTERVAL_S:
+        if 0 < _SECONDS_PER_MS * cycle_ms < _MIN_INTERVAL_S:
             raise command.error(
                 f"has a cycle of {cycle_ms:g} ms (params[0]), which is too short for a camera",
                 "set it in milliseconds, not seconds",
             )
         if cycle_ms > 0:
-            self._start(command, _PER_MILLISECOND * cycle_ms)
+            self._start(command, _SECONDS_PER_MS * cycle_ms)
             return True
         if cycle_ms not in (0, -1):
             raise command.error(f"has a cycle of {cycle_ms:g} ms (params[0])", "set it above 0")
@@ -201,10 +201,10 @@ class Triggers:
         start, pause = (command.params[k] for k in (0, 2))
         if start not in (None, -1, 0, 1) or pause not in (None, -1, 0, 1):
             raise command.error("is neither start, stop nor pause", "set params[0] to 0 or 1")
-        stored = (Mav.TRIGGER_DISTANCE, Mav.TRIGGER_INTERVAL)  # the aircraft's own triggers
+        kinds = (Mav.TRIGGER_DISTANCE, Mav.TRIGGER_INTERVAL)  # the aircraft's own triggers
         if start == 0 or pause == 1:
-            self.paused |= {kind: self.running.pop(kind) for kind in stored if kind in self.running}
-        elif start == 1 and not any(kind in self.running for kind in stored):
+            self.paused |= {kind: self.running.pop(kind) for kind in kinds if kind in self.running}
+        elif start == 1 and not any(kind in self.running for kind in kinds):
             if not self.paused:
                 raise command.error(
                     "starts the aircraft's own trigger, whose interval is unknown",
@@ -227,10 +227,12 @@ class Triggers:
         self.running.pop(Mav.START_CAPTURE, None)
         if count == 1:
             return True
-        every = command.number(1, "interval")
-        if not every >= _MIN_INTERVAL_S:
-            raise command.error(f"has an interval of {every:g} s (params[1])", "set it in seconds")
-        self._start(command, every, int(count) - 1 if count else None)
+        interval_s = command.number(1, "interval")
+        if not interval_s >= _MIN_INTERVAL_S:
+            raise command.error(
+                f"has an interval of {interval_s:g} s (params[1])", "set it in seconds"
+            )
+        self._start(command, interval_s, int(count) - 1 if count else None)
         return True
 
 

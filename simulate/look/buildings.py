@@ -130,8 +130,8 @@ def _gable_roof(
 ) -> None:
     """Add two slopes and two gables. The ridge runs along x, or along y when ``turned``.
 
-    ``heights`` are those of the walls' top and of the ridge. The slopes pass through both lines, so
-    that the eaves of a roof with an overhang are below the walls' top.
+    ``heights`` are the heights of the walls' top and of the ridge. The slopes pass through both
+    lines, so that the eaves of a roof with an overhang are below the walls' top.
     """
     walls = _inset(rect, style.overhang_m)
     wall_top, ridge = heights
@@ -164,7 +164,7 @@ def _hip_roof(
 ) -> None:
     """Add four slopes.
 
-    ``heights`` are those of the eaves, at the level of the walls' top, and of the ridge.
+    ``heights`` are the heights of the eaves, which are level with the walls' top, and of the ridge.
     """
     x0, x1, y0, y1 = rect
     eaves, ridge = heights

@@ -30,8 +30,8 @@ class Light:
     """A time of day.
 
     Attributes:
-        elevation: Elevation of the sun, degrees. None is half an hour before solar noon. Below 0
-            it is night, with moon, street lamps, lit windows and headlights.
+        elevation: Elevation of the sun, degrees. None means half an hour before solar noon. Values
+            below 0 mean night, with moon, street lamps, lit windows and headlights.
         rising: Whether the sun has this elevation before noon; otherwise after noon.
     """
 
@@ -341,7 +341,7 @@ def _sky(elevation: float, cloud: float) -> Sky:
 
 
 def _exposure(sun: Sun, sky: Sky, season: Season, weather: Weather, night: Night | None) -> float:
-    """Return the exposure in stops: 85 % of that of a light meter that points down from 100 m.
+    """Return the exposure in stops: 85 % of the value of a light meter that looks down from 100 m.
 
     Photographs in the evening therefore stay a little dark. Photographs at night are darker still,
     because a camera limits its exposure time and its gain.

@@ -57,8 +57,8 @@ def cover(world: World, condition: Condition) -> Cover:
 def _flood(world: World, condition: Condition) -> Float | None:
     """Return the share (n, n), 0 to 1, of standing water; None without a flood.
 
-    One level surface covers the lowest part of the open ground, as large as the weather states. In
-    a tile, its level is that of the whole place, where all ground counts.
+    The water has one level. It covers the lowest part of the open ground, whose share the weather
+    states. In a tile, the level is computed from the heights of all ground of the whole place.
     """
     if condition.weather.flood == 0:
         return None

@@ -115,9 +115,9 @@ FREIGHT: dict[str, Callable[[], Mesh]] = {
     "stacker": _stacker,
     **{name: partial(_container, size[0]) for name, size in CONTAINER_M.items()},
     **{
-        f"{name}_{high}x{variant}": partial(_stack, size[0], high, variant)
+        f"{name}_{count}x{variant}": partial(_stack, size[0], count, variant)
         for name, size in CONTAINER_M.items()
-        for high in range(2, MAX_STACKED + 1)
+        for count in range(2, MAX_STACKED + 1)
         for variant in range(STACK_VARIANTS)
     },
 }

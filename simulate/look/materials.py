@@ -29,7 +29,7 @@ _ROOM_WARM: Rgb = (1.0, 0.46, 0.14)
 _ROOM_COOL: Rgb = (1.0, 0.86, 0.68)
 _ROOM_GLOW = 0.22
 RANDOM_KEY: Final = "random_key"
-"""Property of a Blender object: the number by which the lit windows of a building are drawn."""
+"""Property of a Blender object: the number that seeds which windows of a building are lit."""
 _WET_DARKENING = 0.35  # relative darkening of wet walls, roofs and paint
 
 
@@ -45,15 +45,15 @@ def build_materials(
 
     The materials read the attribute "tint" and the texture coordinates "uv" of meshes, and the
     colour of objects, whose alpha is 1 for vehicles in traffic and 0 for other objects, and the
-    property ``RANDOM_KEY`` of buildings. At night,
-    windows and lamps glow, but do not light other surfaces. ``simulate.look.lamps`` lights them.
+    property ``RANDOM_KEY`` of buildings. At night, windows and lamps glow, but do not light other
+    surfaces; the spot lights of ``simulate.look.lamps`` do.
 
     Args:
         data: ``bpy.data``.
         condition: The season, light and weather.
         ground: Baked albedo (n, n, 3) of the ground, uint8 sRGB.
         specular: Specular share (n, n) of the ground, uint8.
-        seed: Seed of the place, by which windows are lit at night.
+        seed: Seed of the place; it selects the windows that are lit at night.
         origin: Position of the scene's origin in the place, metres. It moves the noise of
             surfaces, so that these look the same in every window of a tiled place.
     """
@@ -86,7 +86,7 @@ def build_materials(
 
 
 def _move_noise(material: Any, offset: tuple[float, float, float]) -> None:
-    """Add an offset, metres, to the positions at which a finished material takes noise."""
+    """Add an offset, metres, to the positions at which a finished material samples noise."""
     graph = _Graph.from_material(material)
     links = [link for link in graph.tree.links if link.from_socket.name == "Position"]
     for link in links:

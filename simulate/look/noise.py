@@ -1,4 +1,4 @@
-"""Random images from which the looks of surfaces are mixed."""
+"""Noise images that vary the colours of surfaces."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from numpy.typing import NDArray
 
 
 def noise(rng: np.random.Generator, n: int, cells: float) -> NDArray[np.float32]:
-    """Return smooth noise (n, n): mean 0, standard deviation about 0.5, ``cells`` per side."""
+    """Return smooth noise (n, n) with mean 0 and standard deviation about 0.5.
+
+    It is interpolated from a coarse grid of about ``cells`` cells per side.
+    """
     m = int(np.clip(round(cells), 2, n)) + 3
     coarse = rng.standard_normal((m, m), np.float32)
     fine = cv2.resize(coarse, (n, n), interpolation=cv2.INTER_CUBIC)

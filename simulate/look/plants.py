@@ -127,7 +127,7 @@ def _profile(item: WorldObject, terrain: Heightfield, x: Array) -> tuple[Array, 
     """Return the ground under an object that follows it, and the height of the object above it.
 
     Ground heights (K,) are at the points ``x`` (K,) along the object, relative to the centre of its
-    box. The object's height is that of the box's top above the highest of these points.
+    box. The object's height is measured from the highest of these points to the top of the box.
     """
     direction = np.array([np.cos(item.yaw), np.sin(item.yaw)])
     at = item.centre[:2] + x[:, None] * direction
@@ -226,8 +226,8 @@ def _branch(
     for k in range(forks):
         start = foot + (0.45 + 0.55 * (k + 1) / forks) * length * along
         spread = rng.uniform(0.6, 1.1) * (np.cos(turn[k]) * across + np.sin(turn[k]) * third)
-        grown = along + spread + [0.0, 0.0, 0.15]
-        _branch(out, rng, start, grown / np.linalg.norm(grown), order + 1)
+        direction = along + spread + [0.0, 0.0, 0.15]
+        _branch(out, rng, start, direction / np.linalg.norm(direction), order + 1)
 
 
 def _trunk(height: float, radius: float) -> Mesh:

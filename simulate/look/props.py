@@ -1,7 +1,7 @@
 """Build the mesh of a named shape; vehicles, skips, benches and lamps are defined here.
 
 Meshes are built in metres and fitted to the unit cube, which is scaled to an object's box. The
-front of an object faces +x, that of a bench -y. The parts that take the object's own colour have
+front of an object faces +x, but a bench faces -y. The parts that take the object's own colour have
 the material "paint".
 """
 

@@ -25,15 +25,15 @@ def _panel(columns: int, rows: int) -> Mesh:
     ``columns`` and ``rows`` are the numbers of its modules.
     """
     out = MeshBuilder()
-    length, deep, low, high = 12.0, 4.0, 0.8, 2.59
+    length, depth, low, high = 12.0, 4.0, 0.8, 2.59
 
     def at(u: float, v: float, lift: float) -> tuple[float, float, float]:
-        return length * (u - 0.5), deep * (v - 0.5), low + v * (high - low) + lift
+        return length * (u - 0.5), depth * (v - 0.5), low + v * (high - low) + lift
 
     face = [at(0, 0, 0), at(1, 0, 0), at(1, 1, 0), at(0, 1, 0)]
     out.polygon(face, "plain", _FRAME)
     out.polygon([(x, y, z - 0.04) for x, y, z in reversed(face)], "plain", (0.5, 0.5, 0.5))
-    edge_u, edge_v = 0.022 / (length / columns), 0.022 / (deep / rows)
+    edge_u, edge_v = 0.022 / (length / columns), 0.022 / (depth / rows)
     for i in range(columns):
         for j in range(rows):
             u0, u1 = (i + edge_u) / columns, (i + 1 - edge_u) / columns

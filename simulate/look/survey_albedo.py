@@ -93,19 +93,22 @@ def _lay_snow(
 ) -> None:
     """Cover rows of the albedo (h, n, 3) with snow, as ``simulate.look.ground.bake`` does.
 
-    ``kept`` is the share (h, n) of the snow that stays, in 1/255. Unlike there, snow in the
-    shade thaws as fast as snow in the sun.
+    ``kept`` is the share (h, n) of the snow that stays, in 1/255. Unlike in that function, snow in
+    the shade thaws as fast as snow in the sun.
     """
-    lying = np.clip(
+    snow_share = np.clip(
         kept * np.float32(season.snow * 4.2 / 255) - _bare_threshold(season) + 1.5 * drift, 0, 1
     )
-    lying *= np.where(labels == CLASSES["tree"], np.float32(_CROWN_COVER), np.float32(1))
+    snow_share *= np.where(labels == CLASSES["tree"], np.float32(_CROWN_COVER), np.float32(1))
     white = _SNOW_RGB * (1 + 0.07 * drift)[..., None]
-    albedo += (_SNOW_OPACITY * lying)[..., None] * (white - albedo)
+    albedo += (_SNOW_OPACITY * snow_share)[..., None] * (white - albedo)
 
 
 def _bare_threshold(season: Season) -> float:
-    """Return the amount of snow below which the ground is bare; one unit more covers it."""
+    """Return the amount of snow up to which the ground is bare.
+
+    With an amount larger by 1, snow covers the ground completely.
+    """
     return 1.4 + 0.5 * season.thaw
 
 
@@ -117,13 +120,13 @@ def _table(values: dict[str, float]) -> Float:
     return table
 
 
-def _ratios(shown: Season, wanted: Season) -> Float:
-    """Return the colours of the wanted season divided by those of the shown one, (labels, 3)."""
+def _ratios(imaged: Season, wanted: Season) -> Float:
+    """Return the colours of the wanted season relative to the imaged season, (labels, 3)."""
     table = np.ones((max(CLASSES.values()) + 1, 3), np.float32)
     for name in ("grass", "pavement"):
-        before, after = (np.mean(season.ground[name], axis=0) for season in (shown, wanted))
+        before, after = (np.mean(season.ground[name], axis=0) for season in (imaged, wanted))
         table[CLASSES[name]] = after / before
-    table[CLASSES["tree"]] = _foliage(wanted) / _foliage(shown)
+    table[CLASSES["tree"]] = _foliage(wanted) / _foliage(imaged)
     return table
 
 

@@ -98,7 +98,7 @@ def _hills(x: Array, y: Array, outside_m: Array) -> Array:
     """
     turn = np.arctan2(y, x)
     waves = ((0.22, 3, 1.0), (0.12, 7, 2.0), (0.06, 17, 0.0))
-    ridge = 0.60 + sum(high * np.sin(count * turn + start) for high, count, start in waves)
+    ridge = 0.60 + sum(size * np.sin(count * turn + phase) for size, count, phase in waves)
     share = np.clip((outside_m - _HILLS_START_M) / (0.6 * _FAR_M), 0.0, 1.0)
     return np.asarray(_HILLS_M * ridge * share * share * (3 - 2 * share))
 

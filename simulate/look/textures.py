@@ -71,7 +71,7 @@ def facade(style: Facade) -> Image:
 def panes(style: Facade) -> Image:
     """Draw the share of a room's light that passes through each pixel of a facade, as a grey level.
 
-    The image fits that of ``facade``. Curtains and blinds dim the light.
+    Its pixels are aligned with the image of ``facade``. Curtains and blinds dim the light.
     """
     pane = _draw_facade(style).pane
     return _encode(np.dstack([pane] * 3), np.zeros_like(pane))

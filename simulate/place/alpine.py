@@ -23,9 +23,9 @@ def chalets(builder: PlaceBuilder, block: Block) -> None:
     for side in (1, -1):
         a = rng.uniform(0.0, 6.0)
         while a + 16.0 < length:
-            wide = rng.uniform(16.5, 22.0)
-            _chalet(builder, block.front(side).shift(a + 0.5 * wide), 0.5 * depth)
-            a += wide
+            width = rng.uniform(16.5, 22.0)
+            _chalet(builder, block.front(side).shift(a + 0.5 * width), 0.5 * depth)
+            a += width
     for _ in range(int(0.008 * length * depth)):
         a, b = rng.uniform(1, length - 1), rng.uniform(2, depth - 2)
         tree(builder, frame.point(a, b), rng.uniform(1.2, 3.2), conifers=0.75)
@@ -39,13 +39,13 @@ def _chalet(builder: PlaceBuilder, frame: StreetFrame, depth: float) -> None:
     rng = builder.rng
     size = rng.uniform(10.5, 14.5), rng.uniform(10.0, 12.5)
     style = chalet_style(builder, size[1])
-    high = 2.7 * style.floors + 0.6 + style.roof_height_m
+    height = 2.7 * style.floors + 0.6 + style.roof_height_m
     b = rng.uniform(4.0, max(4.5, depth - size[0] - 3.0)) + 0.5 * max(size)
     drive = frame.quad(-0.5 * size[0] - 3.6, -0.5 * size[0] - 0.6, -PAVEMENT_M - 0.8, b)
     builder.paint("path", drive, float(rng.random()))
     builder.paint("path", frame.quad(-0.5 * size[0] - 1.0, 0.0, b - 7.5, b), float(rng.random()))
     yaw = frame.yaw(0, b) + builder.choose((0.0, np.pi / 2)) + rng.normal(0, 0.06)
-    spec = ObjectSpec("building", "house", (*size, high), style=style)
+    spec = ObjectSpec("building", "house", (*size, height), style=style)
     if not builder.place(spec, frame.point(0, b), yaw):
         return
     if builder.chance(0.7):

@@ -73,16 +73,16 @@ def container_yard(builder: PlaceBuilder, block: Block) -> None:
     length, depth = block.length, block.depth
     builder.paint("parking", frame.quad(-PAVEMENT_M, length, -PAVEMENT_M, depth), 0.5)
     builder.paint("parking", frame.quad(3, 11, -PAVEMENT_M - 1.5, 1), 0.5)
-    wide = yard.rows * _STACK_SPACING_M
+    width = yard.rows * _STACK_SPACING_M
     room = depth - 2 * _EDGE_M
-    groups = max(1, int((room + _LANE_M) / (wide + _LANE_M)))
-    spacing = (room - wide) / max(1, groups - 1)
+    groups = max(1, int((room + _LANE_M) / (width + _LANE_M)))
+    spacing = (room - width) / max(1, groups - 1)
     for k in range(groups):
         first = _EDGE_M + k * spacing
         _group(builder, frame.shift(_EDGE_M, first), yard, length - 2 * _EDGE_M)
         if k == groups - 1:
             continue
-        lane_b = first + 0.5 * (wide + spacing)
+        lane_b = first + 0.5 * (width + spacing)
         builder.mark(frame.point([_EDGE_M, length - _EDGE_M], [lane_b, lane_b]), 0.15)
         for a in rng.uniform(8.0, length - 8.0, 2):
             _vehicle(builder, frame, float(a), lane_b)
@@ -94,12 +94,12 @@ def container_yard(builder: PlaceBuilder, block: Block) -> None:
 def _group(builder: PlaceBuilder, frame: StreetFrame, yard: Yard, length: float) -> None:
     """Place the rows between two lanes from the frame's origin, with a gap for a crane."""
     size = CONTAINER_M[yard.shape]
-    step, wide = size[0] + _GAP_M, yard.rows * _STACK_SPACING_M
-    crane = (CRANE_M[0], wide + 0.55 * _LANE_M, CRANE_M[2])
+    step, group_width = size[0] + _GAP_M, yard.rows * _STACK_SPACING_M
+    crane = (CRANE_M[0], group_width + 0.55 * _LANE_M, CRANE_M[2])
     gap_a = builder.rng.uniform(0.15, 0.85) * (length - crane[0])
-    gap = frame.quad(gap_a, gap_a + crane[0], 0.0, wide)
+    gap = frame.quad(gap_a, gap_a + crane[0], 0.0, group_width)
     builder.reserve(gap)
-    position = (gap_a + 0.5 * crane[0], 0.5 * wide)
+    position = (gap_a + 0.5 * crane[0], 0.5 * group_width)
     paint = builder.choose(_CRANE_PAINTS)
     gantry = ObjectSpec("crane", "gantry", crane, paint)
     builder.place(gantry, frame.point(*position), frame.yaw(*position), Footing(on_reserved=True))
@@ -119,10 +119,10 @@ def _stack(
     The colour of the object is that of the top container.
     """
     rng = builder.rng
-    high = int(rng.integers(1, yard.max_stacked + 1))
+    count = int(rng.integers(1, yard.max_stacked + 1))
     length, width, height = CONTAINER_M[yard.shape]
-    shape = yard.shape if high == 1 else f"{yard.shape}_{high}x{rng.integers(STACK_VARIANTS)}"
-    size = (length, width, high * height)
+    shape = yard.shape if count == 1 else f"{yard.shape}_{count}x{rng.integers(STACK_VARIANTS)}"
+    size = (length, width, count * height)
     stack = ObjectSpec("container", shape, size, builder.choose(yard.colours))
     builder.place(stack, frame.point(*spot), frame.yaw(*spot) + builder.choose((0.0, np.pi)))
 

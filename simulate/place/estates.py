@@ -92,10 +92,10 @@ def estate(builder: PlaceBuilder, block: Block) -> None:
 
 def _plot(builder: PlaceBuilder, frame: StreetFrame, kind: HouseType, depth: float) -> None:
     """Lay one plot: house, drive, walk and garden. Only cars, sheds and trees differ."""
-    rng, (width, deep, _) = builder.rng, kind.size
+    rng, (width, house_depth, _) = builder.rng, kind.size
     house_a = 0.5 * width
     drive_a = 0.5 * (width + kind.plot_m) if kind.garage is not None else 0.30 * width
-    house_end = kind.setback_m + deep
+    house_end = kind.setback_m + house_depth
     drive_end = kind.setback_m + 1.5 if kind.garage is not None else kind.setback_m - 0.4
     drive = frame.quad(drive_a - 1.4, drive_a + 1.4, -PAVEMENT_M - 0.8, drive_end)
     builder.paint("driveway", drive, 0.5)
@@ -106,7 +106,7 @@ def _plot(builder: PlaceBuilder, frame: StreetFrame, kind: HouseType, depth: flo
     builder.paint("pavement", terrace, 0.5)
 
     house = ObjectSpec("building", "house", kind.size, style=kind.style)
-    spot = frame.point(house_a, kind.setback_m + 0.5 * deep)
+    spot = frame.point(house_a, kind.setback_m + 0.5 * house_depth)
     builder.place(house, spot, frame.yaw(house_a, 0.0), _WALL_TO_WALL)
     if kind.garage is not None:
         garage = ObjectSpec("building", "shed", (2.9, 6.0, 2.7), style=kind.garage)

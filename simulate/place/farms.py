@@ -19,28 +19,28 @@ def farm(builder: PlaceBuilder, block: Block) -> None:
     frame = block.front(int(rng.choice([1, -1])))
     length, depth = block.length, block.depth
     builder.paint("field", frame.quad(1, length - 1, 0.7 * depth, depth - 1), float(rng.random()))
-    wide = min(length, 70.0)
-    yard = frame.shift(0.5 * (length - wide))
+    width = min(length, 70.0)
+    yard = frame.shift(0.5 * (length - width))
     far = 8.0 + min(18.0, 0.3 * depth)  # where the yard ends
-    builder.paint("path", yard.quad(0.12 * wide, 0.88 * wide, 8, far), float(rng.random()))
-    drive = yard.quad(0.5 * wide - 2, 0.5 * wide + 2, -PAVEMENT_M - 1, 9)
+    builder.paint("path", yard.quad(0.12 * width, 0.88 * width, 8, far), float(rng.random()))
+    drive = yard.quad(0.5 * width - 2, 0.5 * width + 2, -PAVEMENT_M - 1, 9)
     builder.paint("path", drive, float(rng.random()))
     builder.reserve(drive)
 
     style = house_style(builder, 12.0, 9.0)
     height = 2.8 * style.floors + 0.4 + style.roof_height_m
-    building(builder, "house", yard, (0.24 * wide, 8.0), (12.0, 9.0, height), style)
+    building(builder, "house", yard, (0.24 * width, 8.0), (12.0, 9.0, height), style)
     style = hall_style(builder)
-    barn = (min(26.0, 0.42 * wide), 11.0, 5.5 + style.roof_height_m)
-    building(builder, "hall", yard, (0.36 * wide, far + 4.5), barn, style)
-    small_object(builder, "tank", yard.point(0.78 * wide, far + 1.5), rng.uniform(-np.pi, np.pi))
+    barn = (min(26.0, 0.42 * width), 11.0, 5.5 + style.roof_height_m)
+    building(builder, "hall", yard, (0.36 * width, far + 4.5), barn, style)
+    small_object(builder, "tank", yard.point(0.78 * width, far + 1.5), rng.uniform(-np.pi, np.pi))
     for kind in ("tractor", "tractor", "bale", "bale", "bale", "pallet", "pallet"):
         for _ in range(4):
-            a, b = rng.uniform(0.5, 0.86) * wide, rng.uniform(11.0, far - 2.0)
+            a, b = rng.uniform(0.5, 0.86) * width, rng.uniform(11.0, far - 2.0)
             if small_object(builder, kind, yard.point(a, b), rng.uniform(-np.pi, np.pi)):
                 break
     for _ in range(2):
-        a = rng.uniform(0.58, 0.86) * wide
+        a = rng.uniform(0.58, 0.86) * width
         car(builder, yard.point(a, 9.5), yard.yaw(a, 9.5) + np.pi / 2)
     place_fences(builder, frame, length, depth, rng.uniform(1.0, 1.3))
     _hedge(builder, frame, length, 0.68 * depth)
@@ -80,6 +80,6 @@ def pasture(builder: PlaceBuilder, block: Block) -> None:
 
 def _hedge(builder: PlaceBuilder, frame: StreetFrame, length: float, b: float) -> None:
     """Place a hedge along the whole block at ``b``, in pieces that follow its bend."""
-    high = builder.rng.uniform(1.4, 2.2)
+    height = builder.rng.uniform(1.4, 2.2)
     for a in np.arange(0.5, length - 12.0, 11.0):
-        barrier(builder, "hedge", frame, (a, b), (a + 10.0, b), (1.2, high))
+        barrier(builder, "hedge", frame, (a, b), (a + 10.0, b), (1.2, height))

@@ -16,8 +16,13 @@ from simulate.place.world import Rgb
 
 _WATER_FOOTING = Footing(on_reserved=True, gap_m=0.3)
 _BANK_M = 3.0  # width of the ground that slopes to the water
-_HULLS: tuple[Rgb, ...] = ((0.02, 0.05, 0.12), (0.22, 0.03, 0.025), (0.03, 0.10, 0.05), (0.05,) * 3)
-_YACHTS: tuple[Rgb, ...] = ((0.62, 0.62, 0.60), (0.55, 0.56, 0.58), (0.03, 0.06, 0.16))
+_HULL_COLOURS: tuple[Rgb, ...] = (
+    (0.02, 0.05, 0.12),
+    (0.22, 0.03, 0.025),
+    (0.03, 0.10, 0.05),
+    (0.05,) * 3,
+)
+_YACHT_COLOURS: tuple[Rgb, ...] = ((0.62, 0.62, 0.60), (0.55, 0.56, 0.58), (0.03, 0.06, 0.16))
 
 
 def _basin(builder: PlaceBuilder, block: Block, front_m: float) -> tuple[float, ...] | None:
@@ -53,15 +58,16 @@ def quay(builder: PlaceBuilder, block: Block) -> None:
     for b in (b0 + 7.0, b1 - 7.0):
         a = a0 + rng.uniform(2.0, 8.0)
         while True:
-            long = min(rng.uniform(32.0, 58.0), a1 - a0 - 10.0)
-            if a + long > a1 - 1.0:
+            length = min(rng.uniform(32.0, 58.0), a1 - a0 - 10.0)
+            if a + length > a1 - 1.0:
                 break
-            hull = vary(builder, builder.choose(_HULLS))
-            ship = ObjectSpec("boat", "ship", (long, 0.17 * long + 1.5, 0.16 * long + 2.0), hull)
-            at = a + 0.5 * long
-            turn = frame.yaw(at, b) + builder.choose((0.0, np.pi))
-            builder.place(ship, frame.point(at, b), turn, _WATER_FOOTING)
-            a += long + rng.uniform(3.0, 14.0)
+            hull = vary(builder, builder.choose(_HULL_COLOURS))
+            size = (length, 0.17 * length + 1.5, 0.16 * length + 2.0)
+            ship = ObjectSpec("boat", "ship", size, hull)
+            at = a + 0.5 * length
+            yaw = frame.yaw(at, b) + builder.choose((0.0, np.pi))
+            builder.place(ship, frame.point(at, b), yaw, _WATER_FOOTING)
+            a += length + rng.uniform(3.0, 14.0)
     a = rng.uniform(0.25, 0.75) * block.length
     crane = ObjectSpec("crane", "gantry", (CRANE_M[0], 11.0, CRANE_M[2]), (0.05, 0.16, 0.30))
     builder.place(crane, frame.point(a, b0 - 8.0), frame.yaw(a, b0 - 8.0))
@@ -74,17 +80,17 @@ def quay(builder: PlaceBuilder, block: Block) -> None:
         truck(builder, frame.point(a, b0 - 4.0), frame.yaw(float(a), b0) + rng.choice([0.0, np.pi]))
 
 
-def _sheds(builder: PlaceBuilder, frame: StreetFrame, length: float, deep: float) -> None:
+def _sheds(builder: PlaceBuilder, frame: StreetFrame, length: float, depth: float) -> None:
     """Place a row of equal sheds along the water."""
-    if deep < 10.0:
+    if depth < 10.0:
         return
     rng = builder.rng
     style = hall_style(builder)
     count = max(1, int((length - 16.0) / rng.uniform(15.0, 24.0)))
-    wide = (length - 16.0) / count
-    size = (wide - 1.5, deep - 5.0, 5.5 + style.roof_height_m)
+    width = (length - 16.0) / count
+    size = (width - 1.5, depth - 5.0, 5.5 + style.roof_height_m)
     for k in range(count):
-        building(builder, "hall", frame, (14.0 + (k + 0.5) * wide, 0.5 * deep + 1.0), size, style)
+        building(builder, "hall", frame, (14.0 + (k + 0.5) * width, 0.5 * depth + 1.0), size, style)
 
 
 def marina(builder: PlaceBuilder, block: Block) -> None:
@@ -113,10 +119,10 @@ def _yacht(
     builder: PlaceBuilder, frame: StreetFrame, spot: tuple[float, float], side: int, berth: float
 ) -> None:
     """Place a yacht on one side of a pontoon at ``spot``, with its stern to the pontoon."""
-    long = builder.rng.uniform(0.7, 0.97) * berth
-    shape, high = ("yacht", 1.25 * long) if builder.chance(0.7) else ("cruiser", 0.32 * long)
-    colour = vary(builder, builder.choose(_YACHTS))
-    a = spot[0] + side * (1.6 + 0.5 * long)
+    length = builder.rng.uniform(0.7, 0.97) * berth
+    shape, height = ("yacht", 1.25 * length) if builder.chance(0.7) else ("cruiser", 0.32 * length)
+    colour = vary(builder, builder.choose(_YACHT_COLOURS))
+    a = spot[0] + side * (1.6 + 0.5 * length)
     yaw = frame.yaw(a, spot[1]) + (0.0 if side > 0 else np.pi)
-    boat = ObjectSpec("boat", shape, (long, 0.30 * long, high), colour)
+    boat = ObjectSpec("boat", shape, (length, 0.30 * length, height), colour)
     builder.place(boat, frame.point(a, spot[1]), yaw, _WATER_FOOTING)

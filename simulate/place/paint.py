@@ -30,7 +30,7 @@ def paint(
 ) -> Ground:
     """Paint regions over a base class on a raster of the whole area, later ones over earlier.
 
-    Texels are about ``texel_m`` metres wide; None chooses their side by that of the area.
+    Texels are about ``texel_m`` metres wide; None computes it by ``texel_size``.
     """
     n = round(side_m / (texel_m or texel_size(side_m)))
     texel = side_m / n

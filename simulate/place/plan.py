@@ -165,13 +165,13 @@ class Plan:
         side_m = builder.side_m
         blocks = lay_streets(builder, lattice, self._pitch_m(side_m), self.streets)
         carriageways = [r for r in builder.regions if r.class_name == self.streets.surface]
-        for line_roads in self.before_blocks:
-            line_roads(builder)
+        for place_roadside in self.before_blocks:
+            place_roadside(builder)
         parts = divide(blocks, side_m, len(self.quarters))
         for quarter, part in zip(self.quarters, parts, strict=True):
             quarter.fill(builder, part)
-        for line_roads in self.after_blocks:
-            line_roads(builder)
+        for place_roadside in self.after_blocks:
+            place_roadside(builder)
         if lattice.bounded:
             # Blocks with straight sides may reach over streets, which bend more in a tile.
             builder.regions += carriageways

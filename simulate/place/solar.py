@@ -41,11 +41,11 @@ def draw_array(builder: PlaceBuilder) -> PanelArray:
     rng = builder.rng
     length, slope = rng.uniform(6.0, 12.0), rng.uniform(3.2, 5.2)
     tilt = np.radians(rng.uniform(15.0, 30.0))
-    deep, rise = slope * np.cos(tilt), slope * np.sin(tilt)
-    size = (length, float(deep), float(_LOW_EDGE_M + rise))
+    depth, rise = slope * np.cos(tilt), slope * np.sin(tilt)
+    size = (length, float(depth), float(_LOW_EDGE_M + rise))
     shape = "panel" if builder.chance(0.5) else "wide_panel"
     table = ObjectSpec("panel", shape, size, builder.choose(_CELLS))
-    return PanelArray(table, float(deep + rise * rng.uniform(1.4, 2.4)), rng.uniform(0.3, 0.9))
+    return PanelArray(table, float(depth + rise * rng.uniform(1.4, 2.4)), rng.uniform(0.3, 0.9))
 
 
 def solar(builder: PlaceBuilder, block: Block) -> None:

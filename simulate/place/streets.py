@@ -141,7 +141,9 @@ class Block:
 
 
 class Lattice(NamedTuple):
-    """The lines of streets in plan coordinates, before the warp; each pair is along v, along u.
+    """The lines of streets in plan coordinates, before the warp.
+
+    In each pair, the first array is for the streets along v, the second for the streets along u.
 
     Attributes:
         warp: Warp of the plan.
@@ -182,10 +184,10 @@ def draw_lattice(
 def draw_bounded_lattice(
     rng: np.random.Generator, side_m: float, pitch_m: float, kind: StreetKind
 ) -> Lattice:
-    """Draw streets about ``pitch_m`` metres apart, the outermost of which are the area's borders.
+    """Draw streets about ``pitch_m`` metres apart; the outermost streets are the area's borders.
 
-    Streets on the border are straight, unmarked and as wide as main roads, so that the halves that
-    two neighbouring areas lay of them fit together.
+    Two neighbouring areas lay one half each of the street on their border. Border streets are
+    straight, unmarked and as wide as main roads, so that the halves fit together.
     """
     drawn = Warp.random(rng, pitch_m, kind.bend)
     warp = replace(drawn, rotation=0.0, half_side_m=0.5 * side_m)

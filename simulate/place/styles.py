@@ -101,7 +101,7 @@ def slab_style(builder: PlaceBuilder, floors: int) -> BuildingStyle:
 
 
 def front_style(builder: PlaceBuilder, floors: int) -> BuildingStyle:
-    """Draw the style of a building wall to wall with its neighbours, with shops below."""
+    """Draw the style of a building with shops below, which adjoins its neighbours."""
     gabled = builder.chance(0.5)
     return BuildingStyle(
         floors=floors,
@@ -138,7 +138,7 @@ def hall_style(builder: PlaceBuilder) -> BuildingStyle:
 
 
 def chalet_style(builder: PlaceBuilder, depth: float) -> BuildingStyle:
-    """Draw the style of a chalet or hay barn: timber under a low roof that reaches far out."""
+    """Draw the style of a chalet or hay barn: timber, and a low roof with a wide overhang."""
     rng = builder.rng
     return BuildingStyle(
         floors=2 if builder.chance(0.55) else 3,

@@ -1,8 +1,9 @@
-"""Tiled places: kilometres of one kind of place, of which only the tiles near a camera are built.
+"""Tiled places: places of several kilometres. Only the tiles near a camera are built.
 
-A tile is bounded by roads. Of each, it lays the half on its own side of the border, so that it
-joins its neighbours without knowing them. Terrain is continuous across the borders. Objects lie in
-one tile each. Equal plans, seeds and sides give equal tiles, in any order and in any process.
+The borders of a tile are roads. A tile lays only its own half of each border road, so that
+neighbouring tiles fit together although each is built alone. Terrain is continuous across the
+borders. Each object lies in a single tile. Equal plans, seeds and sides give equal tiles, in any
+order and in any process.
 """
 
 from __future__ import annotations
@@ -93,8 +94,9 @@ class TiledPlace:
     def land(self) -> World:
         """Return the place without objects, whose ground is one texel of grass.
 
-        Its roads are the borders of tiles within ``_ROADS_M`` of the middle. Its heights are those
-        of the tiles, which are built where heights are asked for; its nodes are coarse.
+        Its roads are the borders of tiles within ``_ROADS_M`` of the middle. The method ``height``
+        of its terrain builds the tiles under the points and returns exact heights; the nodes of its
+        terrain are coarse.
         """
         half = min(0.5 * self.side_m, _ROADS_M)
         along = np.linspace(-half, half, round(2 * half / _ROAD_STEP_M) + 1)
@@ -114,12 +116,12 @@ class TiledPlace:
     def height(self, points: Array) -> Array:
         """Return the height (N,), metres, of the ground of the tiles at points (N, 2), metres."""
         heights = np.empty(len(points))
-        for index, here in self.group(points):
+        for index, here in self.group_by_tile(points):
             heights[here] = self._terrain(index).height(*(points[here] - self.centre(index)).T)
         return heights
 
-    def group(self, points: Array) -> Iterator[tuple[Index, NDArray[np.int64]]]:
-        """Yield each tile under some of the points (N, 2), metres, with their numbers."""
+    def group_by_tile(self, points: Array) -> Iterator[tuple[Index, NDArray[np.int64]]]:
+        """Yield each tile under some of the points (N, 2), metres, and the indices of these."""
         tiles = self.index(points)
         for row, column in np.unique(tiles, axis=0).tolist():
             yield (row, column), np.flatnonzero((tiles == [row, column]).all(1))
@@ -164,7 +166,10 @@ class TiledPlace:
         )
 
     def window_centre(self, first: Index, side: int) -> Array:
-        """Return the centre (2,), metres, of ``side`` x ``side`` tiles from a first index on."""
+        """Return the centre (2,), metres, of a window of ``side`` x ``side`` tiles.
+
+        ``first`` is the index of the tile in its south-west.
+        """
         return self.centre(first) + 0.5 * (side - 1) * self.tile_m
 
     def _build(self, index: Index) -> World:

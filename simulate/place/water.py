@@ -39,9 +39,9 @@ def lake(builder: PlaceBuilder, block: Block) -> None:
     )
     builder.flood(shore, bank)
     for low, high in pairwise(np.linspace(-1, 1, _STRIPS + 1)):
-        wide = half_a * np.sqrt(1 - min(low * low, high * high))
+        half_width = half_a * np.sqrt(1 - min(low * low, high * high))
         b0, b1 = middle[1] + half_b * low, middle[1] + half_b * high
-        builder.reserve(frame.quad(middle[0] - wide, middle[0] + wide, b0, b1))
+        builder.reserve(frame.quad(middle[0] - half_width, middle[0] + half_width, b0, b1))
 
     for _ in range(3 + int(half_a * half_b / 250)):
         a, b = (

@@ -218,7 +218,7 @@ class BuildingStyle:
 
 
 def slope_under(terrain: Heightfield, corners: NDArray[np.float64]) -> Slope:
-    """Return the rise along the length and the width of a rectangle (4, 2), metres a metre.
+    """Return the rise along the length and the width of a rectangle (4, 2), metres per metre.
 
     The corners are those of ``rectangle``: the first edge and the third are along its length.
     """
@@ -240,9 +240,9 @@ class WorldObject:
     ``centre`` (3,) is in world metres, ``size`` (3,) in metres along the box's axes, and ``yaw`` in
     radians anticlockwise from east. ``shape`` names the mesh. ``colour`` is linear RGB. Buildings
     have a style. ``driven`` vehicles are in traffic, with their lights on at night. ``slope`` is
-    the rise of the ground along the length and the width of an object that leans with it, metres a
-    metre; None for an upright object. The box is always upright, and higher if its object leans.
-    ``key`` is the number by which random properties of an object of a tile are drawn.
+    the rise of the ground along the length and the width of an object that leans with it, metres
+    per metre; None for an upright object. The box is always upright, and higher if its object
+    leans. ``key`` seeds the random properties of an object in a tile.
     """
 
     id: int
@@ -259,12 +259,12 @@ class WorldObject:
 
     @property
     def random_key(self) -> int:
-        """Return the number by which random properties are drawn; without a key, the id."""
+        """Return the seed of the object's random properties: ``key``, or ``id`` without a key."""
         return self.id if self.key is None else self.key
 
     @property
     def height_m(self) -> float:
-        """Return the height of the object itself, metres: less than its box's where it leans."""
+        """Return the height of the object, metres. The box of a leaning object is higher."""
         return float(self.size[2]) - (0.0 if self.slope is None else rise(self.slope, self.size))
 
     def footprint(self) -> NDArray[np.float64]:
@@ -276,9 +276,9 @@ class WorldObject:
 class World:
     """A square place of ``side_m`` metres, centred on the origin, east-north-up, Z up.
 
-    Its surroundings do not overlap and cover the place, or there are none. The attributes
-    from ``imagery`` to ``level_m`` belong to sites, whose terrain is the surface including
-    buildings and trees.
+    Its surroundings cover the place without overlap, or there are none. The attributes from
+    ``imagery`` to ``level_m`` belong to sites, whose terrain is the surface including buildings and
+    trees.
 
     Attributes:
         imagery: The appearance of a site.
@@ -287,8 +287,8 @@ class World:
         level_m: Height of the land around the place, metres.
         tiles: The tiles of a part of a tiled place, from south to north and from west to east, each
             with its own coordinates. The ground of each is textured by its own seed.
-        land_heights: Heights (K,) of the whole place around a tile, metres; None for a place that
-            is no tile.
+        land_heights: Heights (K,) of the whole place around a tile, metres; None if this place is
+            not a tile.
     """
 
     seed: int

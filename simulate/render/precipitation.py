@@ -27,7 +27,7 @@ _FOCUS_M: Final = 0.6  # particles nearer than this are out of focus
 _NIGHT_LIGHT: Final = 0.35  # brightness of lamplit particles at night, relative to the sky
 
 
-class _Kind(NamedTuple):
+class _Particles(NamedTuple):
     """Drops or flakes.
 
     Attributes:
@@ -48,8 +48,8 @@ class _Kind(NamedTuple):
     light: float
 
 
-_DROPS: Final = _Kind(50.0, 5.0, 0.0025, 0.25, 7.5, 1.6)
-_FLAKES: Final = _Kind(70.0, 6.0, 0.0055, 0.4, 1.2, 1.5)
+_DROPS: Final = _Particles(50.0, 5.0, 0.0025, 0.25, 7.5, 1.6)
+_FLAKES: Final = _Particles(70.0, 6.0, 0.0055, 0.4, 1.2, 1.5)
 
 
 def precipitate(
@@ -94,7 +94,7 @@ def _draw(
     camera: PinholeCamera,
     cam_from_world: Array,
     amount: float,
-    kind: _Kind,
+    kind: _Particles,
     at_night: bool,
     rng: np.random.Generator,
 ) -> NDArray[np.float32]:
@@ -106,9 +106,9 @@ def _draw(
     z = np.cbrt(_NEAREST_M**3 + share * (kind.farthest_m**3 - _NEAREST_M**3))
     middle = rng.random((count, 2)) * [camera.width, camera.height]
     diameter = kind.diameter_m * np.exp(kind.spread * rng.standard_normal(count))
-    air = np.array([*(_DRIFT_M_S * rng.standard_normal(2)), -kind.fall_m_s])
+    velocity = np.array([*(_DRIFT_M_S * rng.standard_normal(2)), -kind.fall_m_s])
     exposure_s = _NIGHT_EXPOSURE_S if at_night else _EXPOSURE_S
-    travel = exposure_s * (cam_from_world[:3, :3] @ air)
+    travel = exposure_s * (cam_from_world[:3, :3] @ velocity)
     ray = (middle - [camera.cx, camera.cy]) / camera.f
     streak = camera.f * (travel[:2] - ray * travel[2]) / z[:, None]  # pixels
     size = camera.f * diameter / z

@@ -12,8 +12,8 @@ from contextlib import suppress
 from pathlib import Path
 
 _PR_SET_PDEATHSIG = 1
-# Beginning of the names that reserve cores; the processes of all runs on a machine share them.
-_RESERVES = "objconnect-renders-on"
+# Prefix of the socket names that reserve cores. All runs on a machine use the same names.
+_CORE_LOCK_PREFIX = "objconnect-renders-on"
 
 
 def end_with(parent: int) -> None:
@@ -41,14 +41,14 @@ def keep_to_one_core() -> None:
     cores = list(os.sched_getaffinity(0))
     random.shuffle(cores)  # containers may share cores but not these names
     for core in cores:
-        mark = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        lock = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         try:
-            mark.bind(f"\0{_RESERVES}-{core}")
+            lock.bind(f"\0{_CORE_LOCK_PREFIX}-{core}")
         except OSError:
-            mark.close()
+            lock.close()
             continue
         for thread in Path("/proc/self/task").iterdir():  # later threads inherit the core
             with suppress(ProcessLookupError):  # the thread has ended in the meantime
                 os.sched_setaffinity(int(thread.name), {core})
-        mark.detach()
+        lock.detach()
         return

@@ -16,8 +16,8 @@ from simulate.render.window import MAX_SCENE_ID, build_window
 def build_world(job: RenderJob) -> tuple[World, tuple[float, float]]:
     """Return the world of a job, and the position of its origin in the place, metres.
 
-    The job of a tiled place has one window, whose world this is; the poses of the job are relative
-    to the place.
+    The job of a tiled place has one window, and this is the world of that window. The poses of the
+    job are relative to the place, not to the window.
 
     Raises:
         InputError: The place cannot be built.
@@ -31,14 +31,16 @@ def build_world(job: RenderJob) -> tuple[World, tuple[float, float]]:
     return build_window(place, window, job.change), (x, y)
 
 
-def find_ids(numbers: NDArray[np.float32], ids: NDArray[np.int64]) -> NDArray[np.uint16]:
-    """Return the ids (H, W) of the objects whose numbers (H, W) the renderer has written.
+def find_ids(pass_indices: NDArray[np.float32], ids: NDArray[np.int64]) -> NDArray[np.uint16]:
+    """Return the object ids (H, W) of a picture from its pass indices (H, W).
+
+    ``ids`` are the ids of objects by their pass index.
 
     Raises:
-        ValueError: An object is shown whose tile was not expected in this photograph. Objects of
+        ValueError: The picture shows an object of a tile that was not expected in it. Objects of
             such tiles have placeholders above ``MAX_SCENE_ID`` instead of ids.
     """
-    found = ids[np.rint(numbers).astype(np.int64)]
+    found = ids[np.rint(pass_indices).astype(np.int64)]
     if found.max() > MAX_SCENE_ID:
         raise ValueError("a photograph shows an object of a tile that was not expected in it")
     return found.astype(np.uint16)

@@ -1,4 +1,4 @@
-"""Show the objects and lamps of a world that a frame needs, and number the objects."""
+"""Show the objects and lamps that a frame needs, and give the objects pass indices."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class Stage:
     the ground, which takes 0.2 ms each. In a world with many objects they are unlinked instead,
     after which Cycles reloads the scene in 0.4 s.
 
-    Blender knows ``MAX_OBJECT_ID`` pass indices. They are the numbers of objects in the world; if
-    it has more objects, only those that the frame needs have one.
+    Blender supports ``MAX_OBJECT_ID`` pass indices. Each object of the world has one; in a world
+    with more objects, only the objects that the frame needs have one.
 
     Attributes:
         ids: ids (``MAX_OBJECT_ID`` + 1,) of the objects by pass index; 0 for none.
@@ -54,7 +54,7 @@ class Stage:
         self._index = np.zeros(len(self._objects), np.int64)
         if len(self._objects) <= MAX_OBJECT_ID:
             for row in range(len(self._objects)):
-                self._number(row, row + 1)
+                self._set_pass_index(row, row + 1)
 
     def set_up(
         self, camera: PinholeCamera, cam_from_world: NDArray[np.float64], travel_m: float
@@ -72,14 +72,14 @@ class Stage:
                 self._objects[row].delta_location.z = 0.0 if needed[row] else -_FAR_BELOW_M
         self._present = needed
         if len(self._objects) > MAX_OBJECT_ID:
-            self._number_needed(needed)
+            self._assign_pass_indices(needed)
         positions = np.array([beam.position for beam, _ in self._lamps]).reshape(-1, 3)
         inside = depth_inside(positions, camera, cam_from_world) + travel_m
         for (beam, lamp), depth in zip(self._lamps, inside, strict=True):
             lamp.energy = beam.watts if depth > -beam.reach_m else 0.0
 
-    def _number_needed(self, needed: NDArray[np.bool_]) -> None:
-        """Give pass indices to all needed objects; others lose theirs."""
+    def _assign_pass_indices(self, needed: NDArray[np.bool_]) -> None:
+        """Give pass indices to all needed objects, and free those of the other objects."""
         if needed.sum() > MAX_OBJECT_ID:
             raise InputError(
                 f"a photograph needs {needed.sum()} objects, more than {MAX_OBJECT_ID}: fly lower "
@@ -89,9 +89,9 @@ class Stage:
         self._index[~needed] = 0
         free = iter(np.flatnonzero(self.ids[1:] == 0) + 1)
         for row in np.flatnonzero(needed & (self._index == 0)):
-            self._number(row, int(next(free)))
+            self._set_pass_index(row, int(next(free)))
 
-    def _number(self, row: int, index: int) -> None:
+    def _set_pass_index(self, row: int, index: int) -> None:
         self._objects[row].pass_index = index
         self._index[row], self.ids[index] = index, self._object_ids[row]
 

@@ -27,9 +27,9 @@ Array = NDArray[np.float64]
 MAX_VIEW_M: Final = 800.0
 """Horizontal distance from the camera up to which a window holds the tiles of a view, metres."""
 _SIZES: Final = (3, 5)  # numbers of tiles a side that a window may have
-_TALL_M: Final = 60.0  # no object rises so high above the highest ground
-_OVERHANG_M: Final = 30.0  # no object is so wide that it shows farther outside of its tile
-_STEEP: Final = math.tan(math.radians(30))  # slope of a ray, relative to its horizontal length
+_TALL_M: Final = 60.0  # upper bound of the height of objects above the highest ground
+_OVERHANG_M: Final = 30.0  # upper bound of the distance that an object extends beyond its tile
+_STEEP: Final = math.tan(math.radians(30))  # minimum descent of a steep ray per horizontal metre
 _EDGE_RAYS: Final = 9  # number of rays along each side of a picture
 MAX_SCENE_ID: Final = (1 << 16) - 1
 """Largest id of an object in the frames of a scene; ids in tiles that no frame shows are larger."""
@@ -39,8 +39,8 @@ class TileIds(BaseModel):
     """The ids of the objects of a tile in a scene.
 
     Attributes:
-        offset: What is added to the tile's own ids.
-        first_new_id: First own id of objects that the session's change moves or adds.
+        offset: Id in the scene minus id in the tile.
+        first_new_id: First id in the tile of objects that the session's change moves or adds.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -77,7 +77,7 @@ class View(NamedTuple):
     Attributes:
         first: Row and column of the tile in the south-west of its window.
         side: Number of tiles a side of its window.
-        shown: Indices of the tiles whose objects it may show.
+        shown: Indices of the tiles whose objects the frame may show.
     """
 
     first: Index
@@ -138,11 +138,15 @@ def _range(place: TiledPlace, low: Array, high: Array, axis: int) -> range:
 
 
 def _visible_box(
-    camera: PinholeCamera, cam_from_world: Array, heights: tuple[float, float], most_m: float
+    camera: PinholeCamera,
+    cam_from_world: Array,
+    heights: tuple[float, float],
+    max_distance_m: float,
 ) -> tuple[Array, Array]:
-    """Return the south-west and north-east corners (2,) of what a frame may show, metres.
+    """Return the south-west and north-east corners (2,) of the area that a frame may show, metres.
 
-    Ground farther than ``most_m`` from the camera counts only in rays steeper than 30 degrees.
+    Points farther than ``max_distance_m`` from the camera count only on rays that point more than
+    30 degrees below the horizon.
     """
     edge = np.linspace(0, 1, _EDGE_RAYS)
     zeros, ones = np.zeros_like(edge), np.ones_like(edge)
@@ -155,15 +159,16 @@ def _visible_box(
     centre = -cam_from_world[:3, :3].T @ cam_from_world[:3, 3]
     across = np.linalg.norm(rays[:, :2], axis=1)
     is_steep = -rays[:, 2] > _STEEP * across
-    capped = most_m / np.maximum(across, 1e-9)
+    capped = max_distance_m / np.maximum(across, 1e-9)
     farthest = np.where(is_steep, np.inf, capped)
     points = []
     for z in (heights[0], heights[1] + _TALL_M):
         with np.errstate(divide="ignore", invalid="ignore"):
             length = (z - centre[2]) / rays[:, 2]
-        # A ray that leaves the layer of objects upwards, or starts below its top, has no such end.
-        outside = capped if z == heights[0] else np.zeros_like(capped)
-        length = np.where(length > 0, np.minimum(length, farthest), outside)
+        # Rays that do not intersect the lower plane end at the maximum distance. Rays that do not
+        # intersect the upper plane start at the camera.
+        otherwise = capped if z == heights[0] else np.zeros_like(capped)
+        length = np.where(length > 0, np.minimum(length, farthest), otherwise)
         points.append(centre[:2] + length[:, None] * rays[:, :2])
     ends = np.concatenate(points)
     return ends.min(0), ends.max(0)
@@ -193,16 +198,16 @@ def group_views(views: Mapping[int, View], ids: Mapping[Index, TileIds]) -> tupl
 def build_window(place: TiledPlace, window: Window, change: Change) -> World:
     """Return the world of a window after a change; its origin is the window's centre.
 
-    Objects have the ids of the scene. In tiles that no frame shows, ids begin above those.
+    Objects have the ids of the scene. In tiles that no frame shows, ids are above ``MAX_SCENE_ID``.
     """
     tiles = []
-    hidden = MAX_SCENE_ID
+    hidden_offset = MAX_SCENE_ID
     for index, ids in zip(window.tiles(), window.ids, strict=True):
         tile = place.tile(index)
         changed = change_world(tile, change, 0 if ids is None else ids.first_new_id).world
-        tiles.append(renumber(changed, hidden if ids is None else ids.offset))
+        tiles.append(renumber(changed, hidden_offset if ids is None else ids.offset))
         if ids is None:
-            hidden = max((item.id for item in tiles[-1].objects), default=hidden)
+            hidden_offset = max((item.id for item in tiles[-1].objects), default=hidden_offset)
     rows = [tiles[k : k + window.side] for k in range(0, len(tiles), window.side)]
     return place.assemble(rows)
 

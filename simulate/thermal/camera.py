@@ -32,8 +32,8 @@ Float = NDArray[np.float32]
 Array = NDArray[Any]
 
 _LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722], np.float32)
-_LEAST_ALBEDO, _MOST_ALBEDO = 0.03, 0.88
-# Visible albedo above which snow begins to cover the ground, and at which the ground is all snow.
+_MIN_ALBEDO, _MAX_ALBEDO = 0.03, 0.88
+# Visible albedo of ground up to which it has no snow, and from which snow covers it fully.
 _SNOW_ALBEDO: Final = (0.32, 0.55)
 _SNOW_ON_OBJECTS: Final = 0.6  # share of level surfaces of objects under snow, in deep snow
 _SNOW_EMISSIVITY: Final = 0.985
@@ -99,7 +99,7 @@ class ThermalCamera:
         """Return the radiance (H, W) that leaves the surfaces at world points (H, W, 3)."""
         substance = self._find_substances(layers, shown)
         normal = layers["normal"].astype(np.float32) / 127
-        albedo, snow, flood = self._look_up(layers, substance, points, normal)
+        albedo, snow, flood = self._find_albedo_and_cover(layers, substance, points, normal)
         sky_view = 0.5 * (1 + normal[..., 2])
         sunlight = self._gather_sunlight(substance, points, normal, sky_view)
         kelvin = self._surfaces.temperature(substance, albedo, sunlight, sky_view)
@@ -144,7 +144,7 @@ class ThermalCamera:
     def _number(self, material: str) -> int:
         return self._materials.index(material) if material in self._materials else -1
 
-    def _look_up(
+    def _find_albedo_and_cover(
         self,
         layers: Mapping[str, NDArray[Any]],
         substance: NDArray[np.int16],
@@ -155,7 +155,7 @@ class ThermalCamera:
         material, instance = layers["material"], layers["instance"]
         season = self._condition.season
         albedo = property_array("albedo")[substance]
-        infrared = property_array("infrared")[substance]
+        solar_ratio = property_array("solar_ratio")[substance]
         flood = np.zeros(albedo.shape, np.float32)
         # Snow on objects is an even cover here, whereas the picture has patches.
         level = np.clip((normal[..., 2] - 0.35) / 0.4, 0, 1)
@@ -174,13 +174,13 @@ class ThermalCamera:
         snow[ground] = white
         is_open = np.isin(layers["semantic"][ground], [CLASSES[name] for name in _OPEN_GROUND])
         flood[ground] = is_open * self._ground_images.specular[row, column] / np.float32(255)
-        known = np.clip(infrared * colour, _LEAST_ALBEDO, _MOST_ALBEDO)
+        known = np.clip(solar_ratio * colour, _MIN_ALBEDO, _MAX_ALBEDO)
         return np.where(np.isnan(colour), albedo, known), snow, flood
 
     def _gather_sunlight(
         self, substance: NDArray[np.int16], points: Float, normal: Float, sky_view: Float
     ) -> Float:
-        """Return the irradiance (H, W) of past hours, weighted as the substances need, W/m2."""
+        """Return the mean irradiance (H, W), W/m2, of past hours, weighted by the substance."""
         weights = self._surfaces.weights.astype(np.float32)
         gathered = np.zeros(substance.shape, np.float32)
         for k in range(HOURS):

@@ -1,4 +1,4 @@
-"""The pictures of a thermal camera: blur, noise, 16 bits of temperature and 8 bits to look at."""
+"""The pictures of a thermal camera: blur, noise, 16-bit counts, and the range of 8-bit pictures."""
 
 from __future__ import annotations
 
@@ -27,14 +27,15 @@ _NOISE_AT_K: Final = 300.0
 _KELVIN_PER_COUNT: Final = 0.01
 # Level surfaces look colder by up to this, because they reflect the sky.
 _SKY_REFLECTION_K: Final = 3.0
-# Substances that do not widen the range of 8 bits, because they reflect the sky or are small.
+# Substances left out of the range of 8-bit pictures, because they reflect the sky or are small.
 _IGNORED: Final = ("bare sheet", "solar cell", "rubber", "iron")
 
 
 def describe_thermal(condition: Condition, origin: Geodetic) -> Thermal:
     """Return the record of the thermal pictures of a condition.
 
-    The range of 8 bits holds level surfaces, in the sun and in the shade, in whole degrees.
+    The temperature range of the 8-bit pictures is in whole degrees. It includes level surfaces in
+    the sun and in the shade.
     """
     weather = thermal_weather(condition, origin)
     low, high = _level_range(weather, condition.wet)

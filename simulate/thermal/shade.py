@@ -17,8 +17,8 @@ from simulate.place.world import World, WorldObject
 Float = NDArray[np.float32]
 Array = NDArray[np.float64]
 
-_LEAST_CELL_M: Final = 0.4
-_MOST_CELLS: Final = 1200  # per side
+_MIN_CELL_M: Final = 0.4
+_MAX_CELLS: Final = 1200  # per side
 _OUTSIDE_M: Final = -1e4  # height beyond the place, where nothing gives shade
 # Classes whose shade is ignored, because they are thin or let the sky through.
 _THIN: Final = ("wire", "pole", "lamp", "sign", "fence", "crane", "bollard", "hydrant")
@@ -40,7 +40,7 @@ class Shade:
     """
 
     def __init__(self, world: World, suns: Array) -> None:
-        self._n = int(np.clip(world.side_m / _LEAST_CELL_M, 2, _MOST_CELLS))
+        self._n = int(np.clip(world.side_m / _MIN_CELL_M, 2, _MAX_CELLS))
         self._cell_m = world.side_m / self._n
         height = _raise_objects(world, _terrain(world, self._n, self._cell_m), self._cell_m)
         self._maps = [_cast(height, self._cell_m, sun) if sun[2] > 0 else None for sun in suns]

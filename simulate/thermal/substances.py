@@ -27,8 +27,8 @@ class Substance(NamedTuple):
 
     Attributes:
         albedo: Share of sunlight that is reflected, used if the colour is not known.
-        infrared: Ratio of the albedo in sunlight to the albedo in visible light, used if the colour
-            is known. Leaves reflect far more near infrared than light.
+        solar_ratio: Ratio of the albedo in sunlight to the albedo in visible light, used if the
+            colour is known. Leaves reflect far more near infrared than light.
         emissivity: Emissivity between 8 and 14 micrometres.
         hours: Time constant of the temperature, hours.
         transfer: Heat transfer to the air by convection, W/(m2 K), in light wind.
@@ -38,7 +38,7 @@ class Substance(NamedTuple):
     """
 
     albedo: float
-    infrared: float
+    solar_ratio: float
     emissivity: float
     hours: float
     transfer: float = 12.0
@@ -89,7 +89,7 @@ _GROUND: Final[dict[str, str]] = {
     "tree": "leaf",
     "hedge": "leaf",
 }
-# Substance of the parts of objects that have no material of their own, by class.
+# Substance by class, for parts of objects whose material does not determine the substance.
 _OBJECTS: Final[dict[str, str]] = {
     "building": "masonry",
     "tree": "wood",
@@ -118,7 +118,7 @@ _OBJECTS: Final[dict[str, str]] = {
     "grave": "stone",
     "crane": "bodywork",
 }
-# Substance by material, of materials that determine the substance alone.
+# Substance by material, for materials that are always the same substance.
 _COATINGS: Final[dict[str, str]] = {
     **{facade_material(style): "masonry" for style in Facade},
     facade_material(Facade.HALL_CLADDING): "painted sheet",

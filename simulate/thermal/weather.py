@@ -36,7 +36,7 @@ HOURS: Final = 13
 _SOLAR_W: Final = 1353.0  # solar constant in Meinel's formula, W/m2
 # Shares of sunlight that a clear sky scatters down, and that clouds add.
 _DIFFUSE, _DIFFUSE_OF_CLOUD = 0.11, 0.16
-_LEAST_SUN_DEG: Final = 2.0  # below it, the direct sun is left out
+_MIN_SUN_DEG: Final = 2.0  # below it, the direct sun is left out
 _WARMEST_HOUR: Final = 15.0
 # Half the difference between day and night under a clear sky and under clouds, and the share of
 # this difference that remains over snow.
@@ -61,7 +61,7 @@ class ThermalWeather:
     Attributes:
         air_k: Temperature (HOURS,) of the air, kelvin.
         sun: Unit vectors (HOURS, 3) towards the sun, east-north-up.
-        direct_w: Irradiance (HOURS,) by the sun across its rays, W/m2; 0 by night.
+        direct_w: Direct normal irradiance (HOURS,) by the sun, W/m2; 0 by night.
         diffuse_w: Irradiance (HOURS,) by the sky on level ground, W/m2.
         loss_w: Power that a level black surface of the air's temperature loses to the sky, W/m2.
         ground_k: Temperature below the surface of the ground, kelvin.
@@ -128,10 +128,11 @@ def thermal_weather(condition: Condition, origin: Geodetic) -> ThermalWeather:
     humidity = 0.65 + 0.25 * weather.cloud
     vapour_hpa = humidity * _saturation_hpa(mean_c)
     now = float(air_k[0])
-    whole = 0.70 + 5.95e-5 * vapour_hpa * exp(1500 / now)
-    window = 0.24 + 2.98e-8 * vapour_hpa**2 * exp(3000 / now)
+    # Emissivity of a clear sky, over all wavelengths and in the band.
+    emissivity = 0.70 + 5.95e-5 * vapour_hpa * exp(1500 / now)
+    band_emissivity = 0.24 + 2.98e-8 * vapour_hpa**2 * exp(3000 / now)
     sky_w = STEFAN_BOLTZMANN * (
-        whole * now**4 + (1 - whole) * weather.cloud * (now - _CLOUD_COOLER_K) ** 4
+        emissivity * now**4 + (1 - emissivity) * weather.cloud * (now - _CLOUD_COOLER_K) ** 4
     )
     return ThermalWeather(
         air_k=air_k,
@@ -141,9 +142,9 @@ def thermal_weather(condition: Condition, origin: Geodetic) -> ThermalWeather:
         loss_w=STEFAN_BOLTZMANN * now**4 - sky_w,
         ground_k=ZERO_C + mean_c + 1.0,
         water_k=ZERO_C + _water_c(condition, origin),
-        zenith_transmittance=max(1 - window, 0.0) ** (1 / _DIFFUSIVITY),
+        zenith_transmittance=max(1 - band_emissivity, 0.0) ** (1 / _DIFFUSIVITY),
         cloud=weather.cloud,
-        extinction=_VAPOUR_EXTINCTION * vapour_hpa + _droplets(condition),
+        extinction=_VAPOUR_EXTINCTION * vapour_hpa + _fog_extinction(condition),
     )
 
 
@@ -159,12 +160,12 @@ def _mean_air_c(condition: Condition, origin: Geodetic) -> float:
 
 
 def _water_c(condition: Condition, origin: Geodetic) -> float:
-    """Return the temperature of lakes, degrees Celsius; it follows the air 18 days later."""
+    """Return the temperature of lakes, degrees Celsius, which lags the air by 18 days."""
     return max(2.0, 1.0 + _yearly_c(condition, origin, coldest_day=40.0))
 
 
 def _yearly_c(condition: Condition, origin: Geodetic, coldest_day: float) -> float:
-    """Return a temperature, degrees Celsius, that swings once a year about that of the place."""
+    """Return a temperature, degrees Celsius, with a yearly cycle around the mean of the place."""
     latitude = abs(origin.latitude)
     mean = min(13.0 + 0.6 * (47.0 - latitude), 27.0) - 0.0065 * max(origin.altitude, 0.0)
     swing = 10.0 * sin(radians(latitude)) / sin(radians(47.0))
@@ -177,8 +178,8 @@ def _solar_hour(utc_hour: float, origin: Geodetic) -> float:
 
 
 def _direct(elevation_deg: float) -> float:
-    """Return the irradiance by the sun across its rays under a clear sky, W/m2."""
-    if elevation_deg < _LEAST_SUN_DEG:
+    """Return the direct normal irradiance by the sun under a clear sky, W/m2."""
+    if elevation_deg < _MIN_SUN_DEG:
         return 0.0
     mass = 1 / (sin(radians(elevation_deg)) + 0.50572 * (elevation_deg + 6.07995) ** -1.6364)
     return float(_SOLAR_W * 0.7 ** (mass**0.678))
@@ -188,7 +189,7 @@ def _saturation_hpa(celsius: float) -> float:
     return 6.112 * exp(17.62 * celsius / (243.12 + celsius))
 
 
-def _droplets(condition: Condition) -> float:
+def _fog_extinction(condition: Condition) -> float:
     """Return the extinction by fog, rain and snowfall, 1/m. Haze is finer than the wavelength."""
     weather = condition.weather
     thick = weather.visibility_m < _FOG_M or weather.rain > 0 or weather.snowfall > 0

@@ -32,14 +32,14 @@ from simulate.twin.sampling import (
     sample_labels,
 )
 from simulate.twin.snow import snow_share
-from simulate.twin.source import Files, open_rasters
+from simulate.twin.source import SiteRasters, open_rasters
 from simulate.twin.terrain import close_holes, drop_islands, estimate_ground, find_sunlit, levelness
 
 Float = NDArray[np.float32]
 
 # Maximum sizes and minimum spacings of texture and surface; larger places have wider spacings.
-_MOST_TEXELS, _LEAST_TEXEL_M = 6144, 0.05
-_MOST_NODES, _LEAST_SPACING_M = 1601, 0.2
+_MAX_TEXELS, _MIN_TEXEL_M = 6144, 0.05
+_MAX_NODES, _MIN_SPACING_M = 1601, 0.2
 _NOTED_SHARE = 0.005  # a larger share of holes is noted in the report
 _MIN_SUN_DEG = 3.0  # minimum elevation of the sun to locate shadows
 
@@ -80,7 +80,7 @@ def build_site(
 
 
 def _build(
-    site: SiteConfig, files: Files, side_m: float, origin: Geodetic, seed: int
+    site: SiteConfig, files: SiteRasters, side_m: float, origin: Geodetic, seed: int
 ) -> tuple[World, SiteReport]:
     grids = _grids(files, side_m, origin)
     surface = sample_heights(files.heights, origin, grids.nodes, site.undulation)
@@ -129,7 +129,7 @@ def _build(
     return world, report.model_copy(update={"notes": _notes(files, report)})
 
 
-def _grids(files: Files, side_m: float, origin: Geodetic) -> _Grids:
+def _grids(files: SiteRasters, side_m: float, origin: Geodetic) -> _Grids:
     """Choose the grids of a place, with a margin around it where the rasters have data."""
     rasters = (files.colours, files.heights)
     known_m = inner_half_side(rasters, origin)
@@ -144,11 +144,11 @@ def _grids(files: Files, side_m: float, origin: Geodetic) -> _Grids:
     margin_m = float(np.clip(known_m - 0.5 * side_m, 0.0, MIRRORED_M))
     half_m = 0.5 * side_m + margin_m
     pixel, height_pixel = max(files.colours.grid.ground_pixel), max(files.heights.grid.ground_pixel)
-    texels = round(2 * half_m / max(pixel, _LEAST_TEXEL_M, 2 * half_m / _MOST_TEXELS))
-    spacing_m = max(height_pixel, _LEAST_SPACING_M, 2 * half_m / (_MOST_NODES - 1))
+    texels = round(2 * half_m / max(pixel, _MIN_TEXEL_M, 2 * half_m / _MAX_TEXELS))
+    spacing_m = max(height_pixel, _MIN_SPACING_M, 2 * half_m / (_MAX_NODES - 1))
     nodes = round(2 * half_m / spacing_m) + 1
     half_texel = half_m / texels
-    height = _level(files.heights, origin)
+    height = _surface_height(files.heights, origin)
     return _Grids(
         Cells(np.linspace(-half_m, half_m, nodes), height),
         Cells(np.linspace(-half_m + half_texel, half_m - half_texel, texels), height),
@@ -156,10 +156,10 @@ def _grids(files: Files, side_m: float, origin: Geodetic) -> _Grids:
     )
 
 
-def _level(raster: Raster, origin: Geodetic) -> float:
+def _surface_height(raster: Raster, origin: Geodetic) -> float:
     """Return the approximate height of the surface above the origin, metres."""
     box = raster.grid.box
-    coarse = raster.patch(box, raster.grid.longest_m / 32).values
+    coarse = raster.patch(box, raster.grid.longer_side_m / 32).values
     known = coarse[np.isfinite(coarse)]
     return float(np.median(known)) - origin.altitude if known.size else 0.0
 
@@ -207,7 +207,7 @@ def _interpolate(values: Float, n: int) -> Float:
 
 def _albedo(
     site: SiteConfig,
-    files: Files,
+    files: SiteRasters,
     origin: Geodetic,
     layers: tuple[Float, Float, NDArray[np.uint8]],
     report: SiteReport,
@@ -231,7 +231,7 @@ def _albedo(
     return albedo, report.model_copy(update=shadows)
 
 
-def _notes(files: Files, report: SiteReport) -> tuple[str, ...]:
+def _notes(files: SiteRasters, report: SiteReport) -> tuple[str, ...]:
     notes = list(files.notes)
     if report.closed > _NOTED_SHARE:
         notes.append(

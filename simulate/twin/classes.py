@@ -36,7 +36,7 @@ _GRAINY = 0.25  # minimum grain of leaves with their shadows; lawns have 0.1 to 
 _LEVEL = 0.06  # maximum slope of water
 _DARK = 0.34  # maximum brightness of water, 0 to 1
 _CALM = 0.045  # maximum deviation of the brightness of water
-_LEAST_WATER_M2, _LEAST_M2 = 120.0, 6.0  # smaller patches are dropped
+_MIN_WATER_M2, _MIN_PATCH_M2 = 120.0, 6.0  # smaller patches are dropped
 _NARROWEST_WATER_M = 2.5
 
 
@@ -64,7 +64,7 @@ def classify(
     above_ground = surface - ground
     labels = np.where(green, LOW_VEGETATION, PAVED).astype(np.uint8)
     labels[_water(rgb, blurred, surface, above_ground, cell_m)] = WATER
-    high = _drop_small_patches(above_ground > _HIGH_M, _LEAST_M2, cell_m)
+    high = _drop_small_patches(above_ground > _HIGH_M, _MIN_PATCH_M2, cell_m)
     rough = _roughness(above_ground, high, cell_m)
     leafy = (green & (rough > _GREEN_ROUGH_M)) | ((excess > _FAINT) & (rough > _FAINT_ROUGH_M))
     crown = _majority(leafy, high, cell_m)
@@ -72,7 +72,7 @@ def classify(
     if closed is not None:
         flat = closed & ~high & (labels != WATER)
         leaves = _majority((excess > 0) & (_grain(rgb, cell_m) > _GRAINY), flat, cell_m)
-        labels[_drop_small_patches(leaves & flat, _LEAST_M2, cell_m)] = CROWN
+        labels[_drop_small_patches(leaves & flat, _MIN_PATCH_M2, cell_m)] = CROWN
     return labels
 
 
@@ -123,17 +123,17 @@ def _water(rgb: Float, blurred: Float, surface: Float, above_ground: Float, cell
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
     sure = (is_waterlike & calm & level & (mean < _DARK)).astype(np.uint8)
     wide = _drop_small_patches(
-        cv2.morphologyEx(sure, cv2.MORPH_OPEN, disc) > 0, _LEAST_WATER_M2, cell_m
+        cv2.morphologyEx(sure, cv2.MORPH_OPEN, disc) > 0, _MIN_WATER_M2, cell_m
     )
     # Cells near the shore fail the tests for smooth and level water, whose filters cross the shore.
     shore = cv2.dilate(wide.astype(np.uint8), disc, iterations=2)
     return np.asarray(wide | (is_waterlike & (shore > 0)))
 
 
-def _drop_small_patches(mask: Mask, least_m2: float, cell_m: float) -> Mask:
-    """Return the mask (n, n) without connected patches that are smaller than ``least_m2``."""
+def _drop_small_patches(mask: Mask, min_area_m2: float, cell_m: float) -> Mask:
+    """Return the mask (n, n) without connected patches that are smaller than ``min_area_m2``."""
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
-    keep = stats[:count, cv2.CC_STAT_AREA] * cell_m**2 >= least_m2
+    keep = stats[:count, cv2.CC_STAT_AREA] * cell_m**2 >= min_area_m2
     keep[0] = False
     return np.asarray(keep[labels])
 

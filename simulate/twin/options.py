@@ -42,9 +42,9 @@ class SiteConfig(Config):
     )
     taken: datetime | None = Field(
         None,
-        description="Time of the photographs, such as 2026-07-01T10:30:00Z. It determines the sun, "
-        "by which shadows in the orthophoto are softened. None takes the time of ``scene``, and "
-        "leaves the shadows of ``ortho`` as they are.",
+        description="Time of the photographs, such as 2026-07-01T10:30:00Z. It gives the position "
+        "of the sun, which is needed to soften the shadows of the orthophoto. None takes the time "
+        "of ``scene``, and leaves the shadows of ``ortho`` as they are.",
     )
     season: str = Field("summer", description="Season that the orthophoto shows.")
     albedo: float | None = Field(

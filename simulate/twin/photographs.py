@@ -97,7 +97,7 @@ def covered_square(photographs: Sequence[Photograph], height: float, max_side_m:
 
 
 def sample_photographs(photographs: Sequence[Photograph], points: Array) -> NDArray[np.float32]:
-    """Return the colours of world points, each in the photograph that sees it most steeply.
+    """Return the colours of world points, each from the photograph that sees it most steeply.
 
     Args:
         photographs: The photographs of the map.

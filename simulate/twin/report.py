@@ -11,7 +11,7 @@ PLACE_FILE: Final = "site/place.npz"
 
 
 class SiteReport(BaseModel):
-    """Figures of a site, and notes for the user.
+    """The resolution, completeness, classes and shadows of a site, and notes for the user.
 
     Attributes:
         texel_m: side of a pixel of the texture, metres.
@@ -41,14 +41,14 @@ class SiteReport(BaseModel):
     notes: tuple[str, ...] = ()
 
     def text(self) -> str:
-        """Return the figures in one line, and each note in a line of its own."""
+        """Return a summary in one line, and each note in a line of its own."""
         shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in self.classes.items())
-        figures = (
+        summary = (
             f"site: texture {100 * self.texel_m:.0f} cm, surface {100 * self.spacing_m:.0f} cm, "
             f"{shares}"
         )
         if self.sun is not None:
-            figures += (
+            summary += (
                 f"; shadows of a sun {self.sun[1]:.0f}° high softened on {100 * self.shade:.0f} %"
             )
-        return "\n".join((figures, *self.notes))
+        return "\n".join((summary, *self.notes))

@@ -86,9 +86,9 @@ def inner_half_side(rasters: tuple[Raster, Raster], origin: Geodetic) -> float:
 
 
 def outer_half_side(raster: Raster, origin: Geodetic) -> float:
-    """Return the half side, metres, of the square around an origin that reaches the farthest edge.
+    """Return the half side, metres, of the square that touches the farthest edge of a raster.
 
-    The edge is one of the four edges of the raster.
+    The centre of the square is the origin.
     """
     return float(_reach(raster, origin).max())
 

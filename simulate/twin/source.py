@@ -28,7 +28,7 @@ _GROUND_CELLS = 64  # cells along a side of the grid whose median is the height 
 _MAX_SIDE_M = 2000.0  # maximum side of a site if it is derived from rasters or photographs
 
 
-class Files(NamedTuple):
+class SiteRasters(NamedTuple):
     """The rasters of a site.
 
     Attributes:
@@ -54,7 +54,7 @@ class Extent(NamedTuple):
 
 
 @contextmanager
-def open_rasters(site: SiteConfig, temporary_root: Path) -> Iterator[Files]:
+def open_rasters(site: SiteConfig, temporary_root: Path) -> Iterator[SiteRasters]:
     """Open the rasters of a site. The rasters of a scene are fused into a temporary folder.
 
     Raises:
@@ -64,7 +64,7 @@ def open_rasters(site: SiteConfig, temporary_root: Path) -> Iterator[Files]:
         colours, heights = _rasters(site)
         stated = site.undulation or None
         notes = (*colours.notes(colours.grid.middle), *heights.notes(heights.grid.middle, stated))
-        yield Files(colours, heights, site.taken, notes=notes)
+        yield SiteRasters(colours, heights, site.taken, notes=notes)
         return
     scene = Scene.open(site.scene)
     notes, taken = _check_photographs(scene)
@@ -74,7 +74,7 @@ def open_rasters(site: SiteConfig, temporary_root: Path) -> Iterator[Files]:
         colours = Raster.open(folder / ortho.ORTHOPHOTO, "orthophoto")
         heights = Raster.open(folder / ortho.SURFACE, "surface model")
         photographs = tuple(map_photographs(scene))
-        yield Files(colours, heights, site.taken or taken, photographs, notes)
+        yield SiteRasters(colours, heights, site.taken or taken, photographs, notes)
 
 
 def measure_extent(site: SiteConfig, has_side: bool = False) -> Extent:
@@ -112,7 +112,7 @@ def _rasters(site: SiteConfig) -> tuple[Raster, Raster]:
 def _middle(colours: Raster, heights: Raster, undulation: float) -> Geodetic:
     """Return the centre of the common area of two rasters, on the ground."""
     box = heights.grid.box
-    coarse = heights.patch(box, heights.grid.longest_m / _GROUND_CELLS).values
+    coarse = heights.patch(box, heights.grid.longer_side_m / _GROUND_CELLS).values
     known = coarse[np.isfinite(coarse)]
     if not known.size:
         raise InputError(f"surface model {heights.path} has no height: give another file")

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from baselines.binary import Akaze, Binary, Orb
+from baselines.binary import Akaze, BinaryExtractor, Orb
 from benchmark.gate.scene import GATE_SCENES
 from objconnect.scene.maps.features import unit_bits
 from objconnect.scene.storage.images import read_rgb
@@ -22,7 +22,7 @@ def photograph() -> NDArray[np.uint8]:
 
 @pytest.mark.parametrize("extract", KINDS, ids=["orb", "akaze"])
 def test_keypoints_of_a_mirrored_photograph_are_mirrored(
-    extract: Binary, photograph: NDArray[np.uint8]
+    extract: BinaryExtractor, photograph: NDArray[np.uint8]
 ) -> None:
     """An offset of the pixel convention would show twice."""
     here = extract(photograph)
@@ -41,7 +41,7 @@ def test_keypoints_of_a_mirrored_photograph_are_mirrored(
 
 @pytest.mark.parametrize("extract", KINDS, ids=["orb", "akaze"])
 def test_matches_are_those_of_hamming_distance(
-    extract: Binary, photograph: NDArray[np.uint8]
+    extract: BinaryExtractor, photograph: NDArray[np.uint8]
 ) -> None:
     noisy = cv2.GaussianBlur(photograph, (0, 0), 0.7).astype(np.uint8)
     a, b = extract(photograph), extract(noisy)
@@ -69,7 +69,7 @@ def test_bits_of_unit_length_keep_hamming_distance() -> None:
 
 
 @pytest.mark.parametrize("extract", KINDS, ids=["orb", "akaze"])
-def test_a_blank_photograph_has_no_features(extract: Binary) -> None:
+def test_a_blank_photograph_has_no_features(extract: BinaryExtractor) -> None:
     features = extract(np.full((120, 160, 3), 90, np.uint8))
     assert features.xy.shape == (0, 2)
     assert len(extract.unit(features.descriptors)) == 0
@@ -79,5 +79,7 @@ def test_a_blank_photograph_has_no_features(extract: Binary) -> None:
 
 
 @pytest.mark.parametrize("extract", [Orb(150), Akaze(150, 1e-4)], ids=["orb", "akaze"])
-def test_no_more_features_than_asked_for(extract: Binary, photograph: NDArray[np.uint8]) -> None:
+def test_no_more_features_than_asked_for(
+    extract: BinaryExtractor, photograph: NDArray[np.uint8]
+) -> None:
     assert 100 < len(extract(photograph).xy) <= 150

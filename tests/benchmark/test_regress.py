@@ -149,7 +149,7 @@ def test_what_the_reference_poses_do_not_judge_is_not_compared(
     write(tmp_path / "blind", GOOD, unjudged=nothing)
     answer = regress(tmp_path / "blind", baseline)
     assert answer.exit_code == 2
-    assert "too inexact to judge any figure" in answer.stderr
+    assert "too inexact to judge any metric" in answer.stderr
 
 
 def test_queries_that_vanished_are_losses(baseline: Path, tmp_path: Path) -> None:

@@ -274,7 +274,7 @@ MUTANTS: Final = (
     Mutant(
         "objconnect begins blind",
         "objconnect/network/network.py",
-        "        keep_variance(self)\n",
+        "        initialise_convolutions(self)\n",
         "",
         (f"{_VGG}::test_networks_that_begin_from_nothing_see_in_all_their_blocks[objconnect]",),
     ),

@@ -11,7 +11,7 @@ BIND_AND_PRINT = """
 import os, sys
 from simulate.render import process
 
-process._RESERVES = sys.argv[1]
+process._CORE_LOCK_PREFIX = sys.argv[1]
 process.keep_to_one_core()
 print(*sorted(os.sched_getaffinity(0)), flush=True)
 input()

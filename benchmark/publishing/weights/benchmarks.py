@@ -69,7 +69,7 @@ def scores(
     whose reference poses are too inexact for this threshold are left out.
 
     Raises:
-        InputError: no method has results of all scenes from one start that are not left out.
+        InputError: no method has usable results of all scenes from one start.
     """
     runs: dict[tuple[str, str], dict[str, Results]] = {}
     for each in evaluations:

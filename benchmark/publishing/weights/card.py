@@ -14,7 +14,7 @@ from benchmark.publishing.card import CARD
 from benchmark.publishing.description import Release
 from benchmark.publishing.licenses import hub_license, license_url
 from benchmark.publishing.weights.benchmarks import FOLDER
-from benchmark.publishing.weights.evaluations import Evaluation, figures
+from benchmark.publishing.weights.evaluations import Evaluation, results_table
 from benchmark.publishing.weights.local_weights import LocalWeights
 from objconnect.scene.storage.atomic import write_text
 
@@ -54,7 +54,7 @@ def write_model_card(
         sha256=source.sha256,
         files="\n".join(_rows(folder, source)),
         facts=_bullets(source.facts),
-        figures=figures(evaluations),
+        figures=results_table(evaluations),
         license=source.license,
         license_url=license_url(source.license),
         by="" if release.creator is None else f", {release.creator}",

@@ -73,7 +73,7 @@ def read_evaluations(paths: Sequence[Path], sha256: str) -> tuple[list[Evaluatio
     return [by_name[name] for name in sorted(by_name)], len(read) - len(by_name)
 
 
-def figures(evaluations: Sequence[Evaluation]) -> str:
+def results_table(evaluations: Sequence[Evaluation]) -> str:
     """Return a table of all results in Markdown."""
     if not evaluations:
         return "No results were published with these weights."

@@ -62,7 +62,7 @@ def find_local_weights(weights: str, license_id: str | None) -> LocalWeights:
 
     Args:
         weights: a key of ``SHIPPED``, or a ``.safetensors`` file.
-        license_id: SPDX identifier; None for that of the project's own weights.
+        license_id: SPDX identifier; None for the licence of the project's own weights.
 
     Raises:
         InputError: there is no such file, it is not safetensors, its card is missing or belongs to
@@ -118,5 +118,5 @@ def _read_card(file: Path, sha256: str) -> tuple[str, Sequence[str]]:
 
 
 def _escape(name: str) -> str:
-    """Return a file name as a pattern that matches it alone."""
+    """Escape the glob characters of a file name."""
     return re.sub(r"([*?[])", r"[\1]", name)

@@ -1,4 +1,4 @@
-"""The cells of a track: the groups of queries that one figure pools.
+"""The cells of a track: groups of queries whose results are pooled.
 
 A cell is one season and one part of the track. The seasons are:
 
@@ -91,11 +91,11 @@ def conditions(queries: Sequence[BoardQuery]) -> tuple[str, ...]:
 
 
 def recall_at_risk(outcomes: Sequence[PredictedOutcome], threshold: Threshold) -> Interval | None:
-    """Return the recall of the most certain answers, of which fewer than 1 % are wrong.
+    """Return the recall at bounded risk: only the most certain answers count as found.
 
-    Answers are ranked by ``uncertainty.doubt``. The longest beginning of this ranking is accepted
-    whose share of wrong poses is below ``RISK``; ties are accepted together. An answer that has
-    neither a probability nor a standard deviation is never accepted.
+    Answers are ranked by ``uncertainty.doubt``. As many of the first answers as possible are
+    accepted, with a share of wrong poses below ``RISK``; ties are accepted together. An answer that
+    has neither a probability nor a standard deviation is never accepted.
 
     Returns:
         The share of all queries that are accepted and correct, in percent; None if no answer has a
@@ -109,7 +109,7 @@ def recall_at_risk(outcomes: Sequence[PredictedOutcome], threshold: Threshold) -
     right = np.array([is_correct(o, threshold) for o in ranked])
     correct = np.cumsum(right[: len(certain)])
     accepted = np.arange(1, len(certain) + 1)
-    # A set of accepted answers may end only at the last of several ties.
+    # If one of several tied answers is accepted, all of them are.
     doubts = [doubt(o) for o in certain]
     ends_tie = np.array([a != b for a, b in pairwise([*doubts, None])])
     allowed = np.flatnonzero(ends_tie & (accepted - correct < RISK * accepted))

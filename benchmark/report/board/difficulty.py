@@ -63,7 +63,7 @@ AXES: Final = (
         "scale",
         "scale",
         "scale",
-        "Size of the query's pixels on the ground over that of its best map photograph's.",
+        "Ground sampling distance of the query divided by that of its best map photograph.",
         "ratio",
         (0, 0.5, 0.71, 1, 1.41, 2, np.inf),
         ("< 0.5", "0.5–0.71", "0.71–1", "1–1.41", "1.41–2", "≥ 2"),

@@ -36,7 +36,7 @@ def reason_against(
         one, other = first.results[dataset], second.results[dataset]
         if one.dataset.sha256 != other.dataset.sha256:
             return f"they are of different renders of {dataset}"
-        # The version in the scores of another program's poses is not that program's.
+        # Scores of another program's poses record the version that scored them.
         is_external = one.method.is_external or other.method.is_external
         versions = one.environment.objconnect, other.environment.objconnect
         if versions[0] != versions[1] and not is_external:

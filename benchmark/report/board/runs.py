@@ -88,7 +88,7 @@ class BoardRun:
 
     @cached_property
     def has(self) -> NDArray[np.bool_]:
-        """Return (N,) whether each query has an answer; a failure is one too."""
+        """Return (N,) whether the run has a result of each query; a failure is a result."""
         return np.array([answer is not None for answer in self.answers], np.bool_)
 
     def answers_at(self, rows: NDArray[np.int64]) -> list[QueryResult]:
@@ -230,15 +230,15 @@ def _load(track: Track, paths: Mapping[_Key, Path]) -> dict[_Key, Results]:
 
 def _results_path(folder: Path, method: str) -> Path | None:
     paths = (folder / f"{method}{ending}" for ending in _ENDINGS)
-    # lexists is true of a broken link, so that the reader refuses it and it is not called missing.
+    # lexists is true of a broken link: reading it then fails, instead of listing it as missing.
     return next((path for path in paths if os.path.lexists(path)), None)
 
 
 def _read(path: Path, start: str, place: TrackPlace) -> Results:
     """Read results and refuse those of another render or start.
 
-    They get the error of the reference poses that the track states. Their own summaries are not
-    computed again, because the page pools queries.
+    The error of the reference poses that the track states decides which thresholds are unjudged.
+    Stored summaries are not computed again, because the page pools queries.
     """
     results = load(path)
     if place.renders and results.dataset.sha256 not in place.renders:

@@ -25,8 +25,8 @@ Array = NDArray[np.float64]
 
 # Bisections of the step in which a ray enters the surface.
 _BISECTIONS = 6
-# Side (px) of the cells of which the highest point is stored: a ray that stays above it skips the
-# cell.
+# Side (px) of the cells. The highest point of each cell is stored: a ray that stays above it skips
+# the cell.
 _CELL = 8
 # Margins of rays beyond the heights of the surface, metres and share of the length.
 _MARGIN_M, _MARGIN_SHARE = 1.0, 0.01
@@ -268,7 +268,8 @@ class _Parabolas(NamedTuple):
 def _march(rays: _Rays, local: LocalProjection, patch: Patch, undulation: float) -> Array:
     """Return the depth (N,) where rays first pass below the surface, 0 where they do not.
 
-    A ray that leaves a hole of the surface model below the surface has no intersection.
+    A ray that passes through a hole of the surface model, and is below the surface after the hole,
+    has no intersection.
     """
     image = _Image(patch)
     which = np.flatnonzero(rays.may_hit)

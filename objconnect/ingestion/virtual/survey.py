@@ -106,7 +106,7 @@ def survey_rasters(
         place = colours.grid.projection.to_geodetic(middle)
         origin = move_to_height(heights.grid.projection, place, float(np.nanmean(ground.values)))
     middle_height = (low + high) / 2 + undulation
-    ends = [ground_ends(raster.grid, origin, middle_height) for raster in (colours, heights)]
+    ends = [horizontal_bounds(raster.grid, origin, middle_height) for raster in (colours, heights)]
     first = np.max([low_end for low_end, _ in ends], axis=0)
     last = np.min([high_end for _, high_end in ends], axis=0)
     if (first >= last).any():
@@ -133,8 +133,8 @@ def _strips(raster: Raster) -> Iterator[NDArray[np.float32]]:
             advance(done)
 
 
-def ground_ends(grid: Grid, origin: Geodetic, height: float) -> tuple[Array, Array]:
-    """Return the lower and upper corner, (2,) each, of a grid's bounding box in the world."""
+def horizontal_bounds(grid: Grid, origin: Geodetic, height: float) -> tuple[Array, Array]:
+    """Return the south-western and north-eastern corner (2,) of a grid in the world, metres."""
     left, bottom, right, top = grid.box
     corners = [(e, n, height) for e in (left, right) for n in (bottom, top)]
     world = world_from_coordinates(grid.projection, origin, np.array(corners))[:, :2]

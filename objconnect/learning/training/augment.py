@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def photometric(
+def augment(
     image: NDArray[np.uint8], rng: np.random.Generator, strength: float = 1.0
 ) -> NDArray[np.uint8]:
     """Change exposure, contrast, colour, shade and sharpness at random.

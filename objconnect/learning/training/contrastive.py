@@ -36,7 +36,7 @@ def sample(maps: Tensor, cells: Tensor) -> Tensor:
     return sampled[:, :, 0].transpose(1, 2)
 
 
-def contrastive(
+def contrastive_loss(
     features_a: Tensor,
     features_b: Tensor,
     cells_a: Tensor,
@@ -46,7 +46,7 @@ def contrastive(
     """Return the negative log-likelihood that each point is matched at its true position, (B, N).
 
     Args:
-        features_a: features (B, C, h, w) of image a, of any length; they are normalised here.
+        features_a: features (B, C, h, w) of image a, of any norm; they are normalised here.
         features_b: features of image b.
         cells_a: positions (B, N, 2) of the points in image a, cells.
         cells_b: positions of the points in image b.

@@ -181,7 +181,7 @@ def train_loop(
                 torch.manual_seed(config.seed * 1_000_003 + step * world + rank)
                 loss, figures = _step(method, batch.to(device), step / config.steps)
                 loss.backward()  # type: ignore[no-untyped-call]
-                _share_gradients(network, world)
+                _average_gradients(network, world)
                 norm = nn.utils.clip_grad_norm_(network.parameters(), _MAX_GRADIENT)
                 if torch.isfinite(norm):
                     optimizer.step()
@@ -224,7 +224,7 @@ def join(device: torch.device) -> Processes:
 def _claim(out: Path, run: Mapping[str, Any], rank: int) -> None:
     """Claim the folder for this run, or resume the run that it holds.
 
-    A run of another length is another run, because the learning rate depends on the length.
+    Runs with different numbers of steps are different, because the learning rate depends on it.
     """
     folder = _resumable(out, run)
     if folder.can_resume(
@@ -324,7 +324,7 @@ def _schedule(
         group["lr"] = peak * rise * fall
 
 
-def _share_gradients(network: nn.Module, world: int) -> None:
+def _average_gradients(network: nn.Module, world: int) -> None:
     """Average gradients over the processes. A missing gradient is taken as zero."""
     if world == 1:
         return
@@ -383,7 +383,7 @@ class _Logger(Protocol):
 
 @contextmanager
 def _log(path: Path, first: int, rank: int) -> Iterator[_Logger]:
-    """Yield a function that appends a line to a log, whose steps from ``first`` on are removed."""
+    """Remove steps from ``first`` on from a log, and yield a function that appends a line to it."""
     if rank > 0:
         yield lambda step, figures: None
         return

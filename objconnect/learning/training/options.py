@@ -26,7 +26,7 @@ class PairOptions(Config):
         gt=0,
         le=180,
         description="Largest angle between the cameras of a pair after both are rotated north up, "
-        "as the input of networks is, deg. A small network cannot learn from pairs with a larger "
+        "like all network inputs, deg. A small network cannot learn from pairs with a larger "
         "angle.",
     )
     heading_deg: float = Field(

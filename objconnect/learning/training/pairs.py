@@ -20,8 +20,8 @@ MIN_POINTS: Final = 64
 BORDER_PX: Final = 4.0
 """Least distance of points from the edge of an image, because features there depend on padding."""
 
-# Largest error of a start, about as large as in poses that an aircraft measures: rotation, and
-# translation as a share of the depth.
+# Largest error of an initial transform: rotation, and translation as a share of the depth. Poses
+# from the sensors of an aircraft have errors of about this size.
 _START_DEG: Final = 10.0
 _START_SHARE: Final = 0.08
 
@@ -51,7 +51,7 @@ class Pair(NamedTuple):
         camera_a: camera of image a.
         camera_b: camera of image b.
         b_from_a: rigid transform (4, 4) between the camera frames, metres.
-        start: wrong ``b_from_a`` (4, 4) from which an alignment starts.
+        start: ``b_from_a`` (4, 4) with an error, from which an alignment starts.
         points: points (N, 3) that both images show, in the frame of camera a, metres.
         xy_a: projections (N, 2) of the points in image a, pixels.
         xy_b: projections (N, 2) of the points in image b, pixels.
@@ -89,7 +89,7 @@ class PairBatch(NamedTuple):
         intrinsics_a: intrinsics of the reference cameras, batch shape (B,).
         intrinsics_b: intrinsics of the query cameras, batch shape (B,).
         b_from_a: transforms of batch shape (B,), float32.
-        start: wrong transforms of batch shape (B,), float32.
+        start: transforms with errors, of batch shape (B,), float32.
         objects: the objects of the images a, then of the images b; empty if unknown.
     """
 
@@ -164,12 +164,12 @@ def collate(pairs: Sequence[Pair]) -> PairBatch:
     )
 
 
-def wrong_start(
+def perturb_transform(
     b_from_a: NDArray[np.float64],
     depth: float,
     rng: np.random.Generator,
 ) -> NDArray[np.float64]:
-    """Draw a wrong transform (4, 4) near ``b_from_a``, for points at a depth of ``depth`` metres.
+    """Return ``b_from_a`` (4, 4) with a random error, for points at a depth of ``depth`` metres.
 
     Camera b is rotated by up to 10 degrees and moved by up to 8 % of the depth. The angle
     and the distance are uniform, so that small errors are as frequent as large ones.
@@ -182,7 +182,7 @@ def wrong_start(
     return error @ b_from_a
 
 
-def fill(
+def cut_or_pad(
     size: int, points: NDArray[np.float64], *others: NDArray[np.float64]
 ) -> tuple[NDArray[np.bool_], list[NDArray[np.float64]]]:
     """Cut or pad arrays to ``size`` rows; padding repeats the first row.

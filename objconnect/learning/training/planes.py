@@ -1,4 +1,4 @@
-"""Training pairs from single photographs: a photograph is flat ground that two cameras see.
+"""Training pairs from single photographs, each treated as flat ground that two cameras see.
 
 Networks can thus be trained on real photographs, as in HomographyNet and SuperPoint (DeTone et al.,
 2016 and 2018).
@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from objconnect.learning.training.augment import photometric
+from objconnect.learning.training.augment import augment
 from objconnect.learning.training.keypoints import keypoints
 from objconnect.learning.training.options import PAIRS, PairOptions
 from objconnect.learning.training.pairs import (
@@ -23,8 +23,8 @@ from objconnect.learning.training.pairs import (
     MIN_POINTS,
     Pair,
     Pinhole,
-    fill,
-    wrong_start,
+    cut_or_pad,
+    perturb_transform,
 )
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.pose import so3_exp
@@ -106,14 +106,16 @@ class PlanePairs:
         shown &= ((in_photograph > 1) & (in_photograph < [width - 1, height - 1])).all(1)
         if shown.sum() < MIN_POINTS:
             return None
-        valid, (points, xy_a, xy_b) = fill(self._points, points[shown], xy_a[shown], xy_b[shown])
+        valid, (points, xy_a, xy_b) = cut_or_pad(
+            self._points, points[shown], xy_a[shown], xy_b[shown]
+        )
         return Pair(
-            photometric(image_a, rng, self._strength),
-            photometric(image_b, rng, self._strength),
+            augment(image_a, rng, self._strength),
+            augment(image_b, rng, self._strength),
             camera,
             camera,
             b_from_a,
-            wrong_start(b_from_a, float(np.median(depth)), rng),
+            perturb_transform(b_from_a, float(np.median(depth)), rng),
             points,
             xy_a,
             xy_b,

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from objconnect.learning.training.augment import photometric
+from objconnect.learning.training.augment import augment
 from objconnect.learning.training.crops import Crop, crop
 from objconnect.learning.training.instances import objects_of
 from objconnect.learning.training.keypoints import keypoints
@@ -22,8 +22,8 @@ from objconnect.learning.training.pairs import (
     MIN_POINTS,
     Pair,
     Pinhole,
-    fill,
-    wrong_start,
+    cut_or_pad,
+    perturb_transform,
 )
 from objconnect.scene.bundle.frames import DenseLayers
 from objconnect.scene.bundle.manifest import SceneObject
@@ -193,14 +193,16 @@ class RenderedPairs:
         if inside.sum() < MIN_POINTS:
             return None
         depth = float(np.median(points[inside, 2]))
-        valid, (points, xy_a, xy_b) = fill(self._points, points[inside], xy_a[inside], xy_b[inside])
+        valid, (points, xy_a, xy_b) = cut_or_pad(
+            self._points, points[inside], xy_a[inside], xy_b[inside]
+        )
         return Pair(
-            photometric(crop_a.image, rng, self._strength),
-            photometric(crop_b.image, rng, self._strength),
+            augment(crop_a.image, rng, self._strength),
+            augment(crop_b.image, rng, self._strength),
             crop_a.camera,
             crop_b.camera,
             b_from_a,
-            wrong_start(b_from_a, depth, rng),
+            perturb_transform(b_from_a, depth, rng),
             points,
             xy_a,
             xy_b,

@@ -379,7 +379,7 @@ def _products(
     rr = rx = ry = xx = xy = yy = np.float32(0)
     # A signed index would add a test for negative values and prevent vectorised loads.
     for c in range(np.uint64(len(reference))):
-        # Columns and rows through the point, of which slopes are differences.
+        # Values interpolated along columns and rows; slopes are their differences.
         left = b1 * top_left[c] + b * low_left[c]
         right = b1 * top_right[c] + b * low_right[c]
         before = b1 * before_top[c] + b * before_low[c]

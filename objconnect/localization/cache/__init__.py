@@ -1,1 +1,1 @@
-"""The cache of a method for a map: files of arrays under digests of their inputs."""
+"""The cache of a method for a map: files of arrays, named by digests of their inputs."""

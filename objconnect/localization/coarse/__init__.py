@@ -1,4 +1,4 @@
-"""Coarse search: candidate poses of a query of which position or heading is unknown.
+"""Coarse search: candidate poses of a query with unknown position or heading.
 
 ``grid`` divides the ground into cells, ``mosaic`` holds their features from the map's photographs,
 ``search`` correlates a query with the mosaic over headings and altitudes.

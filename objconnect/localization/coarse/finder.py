@@ -18,7 +18,7 @@ from objconnect.localization.cache.store import Rows
 from objconnect.localization.coarse.grid import GroundGrid, ground_grid
 from objconnect.localization.coarse.headings import (
     ALTITUDE_RATIOS,
-    LEVEL,
+    NO_TILT,
     TiltOptions,
     has_attitude,
     possible_headings,
@@ -165,9 +165,9 @@ class CoarseSearch:
 
 
 def hypotheses(
-    prior: Prior | None, grid: GroundGrid, height: float, tilt_rotation: Tensor = LEVEL
+    prior: Prior | None, grid: GroundGrid, height: float, tilt_rotation: Tensor = NO_TILT
 ) -> Hypotheses:
-    """Return the headings, altitudes, tilts and region to search for a prior.
+    """Return the headings, altitudes, tilts and region to search, given a prior.
 
     Tilt and roll of the prior are kept. The heading and position are searched around the prior
     within a number of standard deviations, or everywhere if they are unknown. The altitude is the
@@ -192,5 +192,5 @@ def hypotheses(
         altitude = up - grid.height_at(east, north)
         if prior.position_sigma[2] < _KNOWN_ALTITUDE_SHARE * altitude:
             altitudes = [altitude]
-    tilts = [LEVEL if has_attitude(prior) else tilt_rotation]
+    tilts = [NO_TILT if has_attitude(prior) else tilt_rotation]
     return Hypotheses(passes, turns, altitudes, region, tilts)

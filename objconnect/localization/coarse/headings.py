@@ -1,4 +1,4 @@
-"""Headings, tilts and altitudes to search for a prior."""
+"""Headings, tilts and altitudes that a search tries, given a prior."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ ALTITUDE_RATIOS: Final = (0.5, 0.6, 0.72, 0.87, 1.04, 1.25, 1.5)
 """Heights above ground to try where the altitude is unknown, relative to the height of the map's
 photographs. Each is a fifth larger than the one before, because features tolerate a change of scale
 by a tenth."""
-LEVEL: Final = torch.eye(3, dtype=torch.float64)
-"""The rotation of no tilt."""
+NO_TILT: Final = torch.eye(3, dtype=torch.float64)
+"""The identity: the rotation of a camera that is not tilted further."""
 TILTS_DEG: Final = (0.0, 15.0, 30.0, 45.0, 60.0)
 """Default tilts of the camera, degrees, to try where the attitude is unknown."""
 

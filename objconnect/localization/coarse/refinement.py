@@ -62,7 +62,7 @@ class CoarsePoses(NamedTuple):
 
 
 class ViewScorer:
-    """Scores poses of a query by the cells of the mosaic at which the cells of its view lie.
+    """Scores poses of a query by comparing its features, projected to the ground, with the mosaic.
 
     Args:
         mosaic: mosaic of the map.
@@ -110,7 +110,7 @@ class ViewScorer:
 
     def score(self, poses: CoarsePoses) -> tuple[Tensor, Tensor]:
         """Return the scores (P,) of poses, at most 1, and their centres (P, 2), world metres."""
-        ground, weight = self._lay_out(poses.rotation, poses.altitude)
+        ground, weight = self._project_to_ground(poses.rotation, poses.altitude)
         centre = poses.middle - _middle(ground, weight)
         grid = self._mosaic.grid
         rows, columns = grid.shape
@@ -131,10 +131,10 @@ class ViewScorer:
 
     def middle_of(self, rotation: Tensor, altitude: Tensor) -> Tensor:
         """Return the middle of the ground in view (P, 2), metres from the camera."""
-        return _middle(*self._lay_out(rotation, altitude))
+        return _middle(*self._project_to_ground(rotation, altitude))
 
-    def _lay_out(self, rotation: Tensor, altitude: Tensor) -> tuple[Tensor, Tensor]:
-        """Return where cells lie on level ground (P, N, 2), metres from the camera, and weights.
+    def _project_to_ground(self, rotation: Tensor, altitude: Tensor) -> tuple[Tensor, Tensor]:
+        """Project the view's cells to level ground, (P, N, 2) metres from the camera, with weights.
 
         The weight of a cell is multiplied by the number of the mosaic's cells that it covers, at
         most one.

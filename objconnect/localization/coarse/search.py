@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from objconnect.localization.coarse.headings import LEVEL
+from objconnect.localization.coarse.headings import NO_TILT
 from objconnect.localization.coarse.mosaic import Mosaic
 from objconnect.localization.featuremetric.maps import FeatureMap
 from objconnect.scene.geometry.pose import Pose, so3_exp
@@ -44,8 +44,8 @@ class Candidate:
 
     Attributes:
         pose: ``cam_from_world``.
-        score: correlation with the mosaic, at most 1, in the coarse search; other finders have
-            scores of their own.
+        score: correlation with the mosaic, at most 1, in the coarse search; other finders
+            define their own scores.
         by: source of the candidate.
     """
 
@@ -70,7 +70,7 @@ class Hypotheses:
     turns: Sequence[float]
     altitudes: Sequence[float]
     region: tuple[float, float, float] | None = None
-    tilts: Sequence[Tensor] = (LEVEL,)
+    tilts: Sequence[Tensor] = (NO_TILT,)
 
 
 class _GroundPatch(NamedTuple):
@@ -142,8 +142,8 @@ class MosaicSearch:
         """Return the warped query and its features for each pass of the network.
 
         Args:
-            extract: warps the query north up for a pose, of which only height and rotation matter,
-                and computes the features of the coarsest level.
+            extract: warps the query north up for a pose, and computes the features of the coarsest
+                level. Only height and rotation of the pose matter.
             hypotheses: headings and altitudes to search.
         """
         median_altitude = float(hypotheses.altitudes[len(hypotheses.altitudes) // 2])
@@ -315,8 +315,8 @@ class MosaicSearch:
         """Return the south-western and north-eastern corner (2, 2) of the ground in a view.
 
         The footprint covers all rotations (T, 3, 3) up to ``MAX_DISTANCE``. It is relative to the
-        camera, in units of the camera's height above ground; NaN if the lens model inverts at no
-        pixel.
+        camera, in units of the camera's height above ground; NaN if no pixel can be
+        unprojected.
         """
         camera = view.camera
         steps = np.linspace(0.0, 1.0, 9)

@@ -18,14 +18,14 @@ from objconnect.localization.coarse.search import (
 )
 
 # Number of peaks of the rough search that are refined.
-_REFINED: Final = 48
+_NUM_REFINED: Final = 48
 
 
 class TiltedSearch:
     """Finds the poses of a tilted camera at which a query correlates best with a mosaic.
 
-    Tilts multiply the hypotheses. They are compared on cells of twice the side, and the best peaks
-    are refined in six dimensions on the mosaic's own cells.
+    Tilts multiply the number of hypotheses. All of them are compared on a mosaic of half the
+    resolution, and the best peaks are refined in six dimensions at full resolution.
 
     Args:
         mosaic: mosaic of the map.
@@ -44,7 +44,7 @@ class TiltedSearch:
             list(self._rough.peaks(each._replace(level=each.level.halve()), hypotheses))
             for each in views
         ]
-        best = self._rough.select([peak for peaks in rough for peak in peaks], _REFINED)
+        best = self._rough.select([peak for peaks in rough for peak in peaks], _NUM_REFINED)
         refined = [
             peak
             for each, peaks in zip(views, rough, strict=True)
@@ -53,7 +53,7 @@ class TiltedSearch:
         return [self._fine.candidate(peak) for peak in self._fine.select(refined, count)]
 
     def _refine(self, query: QueryView, peaks: Sequence[Peak]) -> Iterator[Peak]:
-        """Yield the peaks of one view of the query, refined on the mosaic's own cells."""
+        """Yield the peaks of one view of the query, refined at full resolution."""
         if not peaks:
             return
         scorer = ViewScorer(self._mosaic, query.view, query.level)

@@ -60,8 +60,9 @@ class NeighbourOptions(Config):
         0.3,
         gt=0,
         le=1,
-        description="Largest near end of the depth range as a share of the median depth, if "
-        "several photographs give the depths, because near things have few map points.",
+        description="Upper bound of the near end of the depth range, as a share of the median "
+        "depth. It applies if several photographs give the depths, because near things have few "
+        "map points.",
     )
 
 

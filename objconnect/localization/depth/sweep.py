@@ -42,12 +42,12 @@ _WINDOW_STEP_PX: Final = 1.5
 BORDER_PX: Final = 8.0
 """Width of the edge of a photograph that is not compared, because lens models are least exact
 there."""
-# Least margin of the best correlation over that at any other depth. Depths at most this many steps
-# from the best do not count as other depths.
+# Minimum difference between the best correlation and the correlation at any other depth. Depths at
+# most this many steps from the best do not count as other depths.
 _RIVAL_MARGIN: Final = 0.05
 _RIVAL_STEPS: Final = 2
-# Least shorter side of a downscaled photograph, pixels.
-_LEAST_SIDE_PX: Final = 64
+# Minimum length of the shorter side of a downscaled photograph, pixels.
+_MIN_SIDE_PX: Final = 64
 # Side of the window in downscaled photographs, pixels.
 _SHRUNK_WINDOW_PX: Final = 5
 # Spacing of the depths in downscaled photographs, pixels of shift.
@@ -154,7 +154,7 @@ class Sweeper:
         others = [self.photograph(each) for each in neighbours]
         rows = np.arange(len(xy))
         smallest = min(min(each.grey.shape) for each in (photograph, *others))
-        shrink = min(self._options.shrink, smallest // _LEAST_SIDE_PX)
+        shrink = min(self._options.shrink, smallest // _MIN_SIDE_PX)
         if depths is None and shrink > 1:
             inverse_depths, clear = self._sweep_downscaled(
                 photograph, xy, others, inverse_depths, shrink

@@ -1,7 +1,7 @@
 """The probability that a pose is right, that is, within 5 m and 10 degrees of the truth.
 
-Logistic regression gives the log odds of an aligned pose from three figures that need no truth
-(``evidence``), and the log odds of a pose by matches from its number of inliers. At most one
+Logistic regression gives the log odds of an aligned pose from three measures that need no ground
+truth (``evidence``), and the log odds of a pose by matches from its number of inliers. At most one
 position in a map is right, so the probabilities of poses at several positions sum to at most 1.
 ``python -m experiments.acceptance`` fits the models.
 """
@@ -44,7 +44,7 @@ class AlignedModel(Config):
 class MatchedModel(Config):
     """Logistic regression of poses by matches, on the number of inliers."""
 
-    bias: float = Field(description="Log odds of a pose of one inlier.")
+    bias: float = Field(description="Log odds of a pose with one inlier.")
     inliers: float = Field(description="Weight of the logarithm of the number of inliers.")
 
 

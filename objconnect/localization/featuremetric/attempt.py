@@ -24,7 +24,7 @@ from objconnect.scene.localizer import Estimate, PoseSource, Status, Stopwatch
 
 Rivals = Sequence[tuple[Pose, float]]
 """Poses that no attempt gave, such as one by matches, with their log odds of being right. A rival
-lowers the probability of the likeliest attempt if its pose is another one (``is_same_pose``)."""
+lowers the probability of the likeliest attempt if the two poses differ (``is_same_pose``)."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Attempt:
         uncertainty: uncalibrated covariance of the view's pose; None if the alignment failed.
         fit: cost as a share of the cost by chance (``problem.relative_cost``); infinite if the
             alignment failed.
-        evidence: figures that tell a right pose from a wrong one; None if it failed.
+        evidence: measures that tell a right pose from a wrong one; None if it failed.
         log_odds: log odds that the pose is right; minus infinity if it failed.
     """
 

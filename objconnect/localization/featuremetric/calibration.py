@@ -12,11 +12,11 @@ from objconnect.localization.featuremetric.calibration_files import CalibrationF
 
 
 class CovarianceModel(CalibrationFile):
-    """The numbers of ``calibrate_covariance`` for one network.
+    """The parameters of ``calibrate_covariance`` for one network.
 
     A patch is a square of an image whose points are treated as dependent (``PoseUncertainty``). The
     fit is the cost at the pose as a share of the cost by chance.
-    ``python -m experiments.covariance`` fits the numbers.
+    ``python -m experiments.covariance`` fits the parameters.
     """
 
     kind = "covariance"
@@ -52,14 +52,15 @@ class CovarianceModel(CalibrationFile):
     )
     view_fit: float = Field(
         ge=0,
-        description="Slope of unchanged_fit over 1 less the mean cosine of the angle between the "
-        "directions in which the query and the map's photographs see the points.",
+        description="Increase of unchanged_fit per unit of 1 - c, where c is the mean cosine of "
+        "the angle between the directions in which the query and the map's photographs see the "
+        "points.",
     )
     changed_fit: float = Field(
         gt=0,
-        description="Relative excess of the fit over that of an unchanged query, by unchanged_fit "
-        "and view_fit, at which the whole floor is added; below, the added variance grows in "
-        "proportion.",
+        description="Relative excess of the fit over the fit of an unchanged query (unchanged_fit "
+        "and view_fit) at which the whole floor is added; for a smaller excess, the added variance "
+        "is proportional to it.",
     )
 
 
@@ -82,8 +83,8 @@ def compute_scales(
     between the directions in which the query and the map's photographs see the points. The measured
     covariance is multiplied by
 
-    - ``factor`` and ``ratio``: it is too small for a changed query, whose features have other
-      slopes than the map's;
+    - ``factor`` and ``ratio``: it is too small for a changed query, whose feature maps have other
+      gradients than the map's;
     - ``(100 / patches)**patches_power``: clustered estimates from few clusters are too small
       (Cameron and Miller, Journal of Human Resources 2015);
     - a factor that shrinks the scatter of the patches towards ``level``, as the posterior mean of a
@@ -97,7 +98,7 @@ def compute_scales(
     Args:
         uncertainty: measured covariances; finite.
         fit: (B,) cost as a share of the cost by chance; a number for one pose.
-        model: numbers of the calibration.
+        model: parameters of the calibration.
 
     Returns:
         The factors, and the variances of rotation (rad^2), equal about all axes, and translation

@@ -1,10 +1,10 @@
-"""Three figures of a query that tell a right pose from a wrong one.
+"""Three measures of an aligned pose that tell a right pose from a wrong one.
 
-The cost of a pose depends on light, season and renderer. These figures depend little on them: the
-peak-to-sidelobe ratio of the gain over chance at the pose to that at shifts of the picture (Bolme
-et al., CVPR 2010), the distance between the poses of two halves of the picture, and the curvature
-of the cost around the pose. The gain over chance of a point is its mean cost over all cells of the
-picture less its cost where it projects.
+The cost of a pose depends on light, season and renderer. These measures depend little on them: the
+peak-to-sidelobe ratio (Bolme et al., CVPR 2010) of the gain over chance, with the peak at the pose
+and the sidelobes at shifts of the picture; the distance between the poses of two halves of the
+picture; and the curvature of the cost around the pose. The gain over chance of a point is its mean
+cost over all cells of the picture minus its cost where it projects.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _SQUARES: Final = 6
 
 @dataclass(frozen=True)
 class Evidence:
-    """Figures of an aligned pose.
+    """Three measures of an aligned pose.
 
     Attributes:
         peak: peak-to-sidelobe ratio: (gain over chance at the pose - mean gain at the shifts) /
@@ -77,7 +77,7 @@ class Evidence:
 
 
 def measure_evidence(problem: Problem, pose: Pose, curvature: float) -> Evidence:
-    """Measure the figures of an aligned pose.
+    """Compute the three measures of an aligned pose.
 
     Args:
         problem: the alignment problem of one image.

@@ -27,8 +27,9 @@ class SearchOptions(Config):
         gt=0,
         le=1,
         description="Largest probability that an accepted pose is wrong by more than 5 m or 10 "
-        "deg. It bounds each answer; of all answers far fewer are wrong. A search ends at the "
-        "first pose within this risk. 1 accepts poses of any probability.",
+        "deg. This bounds the risk of every single answer; the share of wrong answers is far "
+        "lower. A search ends at the first pose within this risk. 1 accepts poses of any "
+        "probability.",
     )
     most_sigma_m: float = Field(
         1.0,
@@ -58,9 +59,9 @@ class SearchOptions(Config):
     matched_answer_inliers: int = Field(
         100,
         ge=4,
-        description="Number of inliers from which a pose by matches within ``risk`` is the answer "
-        "without an alignment. On the validation scenes such poses were off by 0.02 m in the "
-        "median, and by 0.04 m after an alignment.",
+        description="Minimum number of inliers of a pose by matches that is the answer without an "
+        "alignment, if it is within ``risk``. On the validation scenes such poses were off by "
+        "0.02 m in the median, and by 0.04 m after an alignment.",
     )
     again: int = Field(
         2,
@@ -93,15 +94,15 @@ class TrackingOptions(Config):
     coarser: float | None = Field(
         None,
         gt=0,
-        description="Metres per pixel of the image as a multiple of those of the map's "
+        description="Metres per pixel of the resized image as a multiple of those of the map's "
         "photographs; larger values take less time, and images are never enlarged. None resizes "
-        "as for any query, which leaves nearly equal resolutions as they are.",
+        "to the photographs' resolution, unless the image nearly has it already.",
     )
     side: float = Field(
         1.0,
         gt=0,
-        description="Side of the central square of the picture, north up, that is used, as a share "
-        "of the photograph's longer side.",
+        description="Side of the square that is cropped from the middle of the north-up picture "
+        "and aligned, as a share of the photograph's longer side.",
     )
     references: int = Field(
         4, ge=1, description="Number of reference images that the image is aligned to jointly."
@@ -183,11 +184,11 @@ class FeaturemetricConfig(NetworkOptions):
     )
     most_tilt_deg: ClassVar[float | None] = None
     """An image whose tilt exceeds the median tilt of its reference images by more than this angle
-    (degrees) is warped to a tilt that exceeds it by this angle. The warp rotates the optical axis
-    by at most 45 degrees. None warps no image."""
+    (degrees) is warped so that its tilt exceeds the median by exactly this angle. The warp rotates
+    the optical axis by at most 45 degrees. None warps no image."""
     same_place_m: ClassVar[float | None] = None
     """Without any prior, reference images farther apart than this (metres) are separate starts
-    though they share a heading; None for never."""
+    even if they have the same heading. None: they have one start per heading."""
 
     def drop_ineffective(self) -> Self:
         """Return the options; without ``multistart``, those that need it are switched off.

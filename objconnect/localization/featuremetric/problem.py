@@ -104,7 +104,7 @@ class ProblemBuilder:
             start: ``cam_from_world``.
             view_from_camera: (3, 3) rotation that levels the image; None if it is not levelled.
             pixel_ratio: target resolution (m/px) as a multiple of the photographs'; None for the
-                photographs' resolution, and for no resizing of an image that nearly has it.
+                photographs' resolution; an image that nearly has it is then not resized.
             max_magnification: upper bound of the scale.
         """
         points = np.concatenate([self.observations[int(row)].xyz for row in reference_rows])

@@ -31,7 +31,7 @@ from objconnect.scene.storage.images import read_rgb
 from objconnect.scene.storage.lru_cache import LruCache, free_cache_bytes
 
 _FORMAT: Final = 6
-# Points seen by fewer photographs are left out, as by PixLoc's authors.
+# Points seen by fewer photographs are left out, as in PixLoc.
 _MIN_TRACK: Final = 3
 # Photographs with fewer reliable points keep all their points.
 _MIN_POINTS: Final = 64
@@ -45,7 +45,7 @@ class FeatureObserver(Protocol):
     """Receives the feature maps of a map's photographs while they are computed."""
 
     def needs(self, image: MapImage, key: str) -> bool:
-        """Return whether the observer still needs a photograph, which has this ``MapViews.key``."""
+        """Return whether the observer still needs a photograph; ``key`` is its ``MapViews.key``."""
         ...
 
     def __call__(

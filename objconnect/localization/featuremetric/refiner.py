@@ -114,11 +114,11 @@ class Refiner:
         Without a position, SIFT retrieves them if it can: the network is trained on views from
         above only, and the query may be oblique.
         """
-        most = self.config.references
+        count = self.config.references
         if self.matches is not None and query.references is None and not has_position(query.prior):
-            return self.matches.find_similar(query, most)
+            return self.matches.find_similar(query, count)
         return self.retrieval.choose(
-            query, most, lambda: self.describe(query), tilt_invariant=False
+            query, count, lambda: self.describe(query), tilt_invariant=False
         )
 
     def describe(self, query: Query) -> NDArray[np.float32]:
@@ -133,13 +133,13 @@ class Refiner:
         """Align once more, from the aligned pose and to the points in view from there.
 
         A start that was far off had other points and reference images in view. An image coarser
-        than the map is magnified only now, because a search reaches less far in a larger picture
-        and takes longer.
+        than the map is magnified only now, because in a larger picture a search covers a smaller
+        range of poses and takes longer.
         """
-        view, most = aligned.view, self.config.max_magnification
+        view, max_magnification = aligned.view, self.config.max_magnification
         pose = photograph_pose(view, aligned.alignment)
         reference_rows = self.choose_references(replace(query, prior=exact_prior(pose)))
-        larger = self.problems.magnify(query, reference_rows, pose, view, most)
+        larger = self.problems.magnify(query, reference_rows, pose, view, max_magnification)
         if larger is not None:
             trim_heap_above(self.trim_above_magnified_bytes)
             with clock.stage("features"):

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from objconnect.learning.training.contrastive import contrastive, mean_over, sample
+from objconnect.learning.training.contrastive import contrastive_loss, mean_over, sample
 from objconnect.learning.training.options import LOSSES, LossOptions
 from objconnect.learning.training.pairs import PairBatch
 from objconnect.learning.training.pose_loss import (
@@ -72,7 +72,7 @@ def contrastive_and_confidence_loss(
     for stride, (features, confidence) in zip(strides, maps, strict=True):
         a, b = features.float().chunk(2)
         cells = batch.xy_a / stride, batch.xy_b / stride
-        negative_log = contrastive(a, b, *cells, batch.valid)
+        negative_log = contrastive_loss(a, b, *cells, batch.valid)
         losses.append(mean_over(batch.valid, negative_log))
         probability = torch.exp(-negative_log.detach())
         for half, xy in zip(confidence.chunk(2), cells, strict=True):

@@ -16,7 +16,7 @@ _SAME_PX: Final = 1.0
 # Number of observations to which a plane is fitted around a keypoint. A plane fits any three.
 _NEIGHBOURS: Final = 6
 # Largest distance of these observations from the keypoint, as a share of the picture's width,
-# because a surface is plane only nearby.
+# because surfaces are planar only locally.
 _MAX_DISTANCE: Final = 0.1
 # Largest relative difference (rms) between the inverse depths of the observations and the plane.
 _MAX_ROUGHNESS: Final = 0.01

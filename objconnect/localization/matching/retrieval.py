@@ -44,7 +44,7 @@ _SPANNING: Final = 512
 _REACH_SIGMAS: Final = 2.0
 # Lower bound of the height of a camera above the ground, metres.
 _MIN_HEIGHT_M: Final = 2.0
-# Lower bound of the cosine of the tilt in the intersection of an optical axis with the ground.
+# Lower bound of the cosine of the tilt, for the intersection of optical axis and ground.
 _MIN_TILT_COSINE: Final = 0.3
 
 
@@ -149,7 +149,7 @@ def _training_sample(descriptors: Descriptors, count: int) -> NDArray[np.float32
 
 def _cluster(descriptors: NDArray[np.float32], k: int) -> NDArray[np.float32]:
     if k == len(descriptors):
-        return descriptors  # OpenCV would read a single descriptor as many numbers.
+        return descriptors  # OpenCV would read (1, D) as D samples.
     cv2.setRNGSeed(0)
     criteria = (cv2.TERM_CRITERIA_MAX_ITER + cv2.TERM_CRITERIA_EPS, 15, 1e-3)
     _, _, words = cv2.kmeans(descriptors, k, None, criteria, 1, cv2.KMEANS_PP_CENTERS)
@@ -198,7 +198,7 @@ class Viewpoints:
         return self._nearest.within(position[:2], metres)
 
     def most_similar(self, position: Vector, rotation: Matrix, k: int) -> Rows:
-        """Return rows of the ``k`` cameras whose view, north up, is most like a pose's.
+        """Return rows of the ``k`` cameras whose north-up views are most similar to that of a pose.
 
         The distance of two views is the distance of their centres on the ground divided by the
         height above ground, plus the angle between the cameras rotated north up, in radians. It is
@@ -230,7 +230,9 @@ def _smallest(values: NDArray[Any], k: int) -> Rows:
 
 
 def _view_centres(centres: Vector, rotations: Matrix, ground: float) -> Vector:
-    """Return where optical axes meet level ground, (N, 2); near the horizon, a nearer point.
+    """Return the points (N, 2) where optical axes meet level ground.
+
+    Axes near the horizon have a point at a limited distance instead.
 
     Args:
         centres: (N, 3) camera centres, world metres.
@@ -271,11 +273,11 @@ class References:
     ) -> NDArray[np.int64]:
         """Return the rows of reference images in ``names``, best first.
 
-        They are the images in the query's list, also if that is empty. Without a list (None), they
-        are the ``k`` photographs nearest to its prior, and without a prior position the ``k`` most
-        similar photographs. If more than ``k`` photographs lie within two standard deviations of
-        the prior, they are the most similar of these, because the nearest are no better than the
-        others.
+        They are the images in the query's list, even if the list is empty. Without a list (None),
+        they are the ``k`` photographs nearest to its prior, and without a prior position the ``k``
+        most similar photographs. If more than ``k`` photographs lie within two standard deviations
+        of the prior, the ``k`` most similar of these are returned, because the nearest are no
+        better than the others.
 
         Args:
             query: the query.

@@ -91,7 +91,7 @@ class StructureLocalizer:
             extractor: extractor of the features.
             matcher: matcher of the features.
             interpolate: whether 3D points of keypoints are interpolated between the map's
-                observations. Features that the map was not built from need it.
+                observations, as is necessary for features that the map was not built from.
         """
         self.config = config
         self._extractor = extractor
@@ -126,13 +126,13 @@ class StructureLocalizer:
         )
         self._map = sparse_map
 
-        def lift_features(row: int) -> _LiftedKeypoints:
+        def read_lifted(row: int) -> _LiftedKeypoints:
             return _LiftedKeypoints(**store.arrays(row, _ARRAYS))
 
         def describe(row: int) -> NDArray[np.float32]:
             return unit(features[sparse_map.names[row]].descriptors).numpy()
 
-        self._lifted_keypoints = LruCache(lift_features, free_cache_bytes(self.config.memory_mb))
+        self._lifted_keypoints = LruCache(read_lifted, free_cache_bytes(self.config.memory_mb))
         self._resolution = map_resolution(sparse_map, lambda camera: 1.0)
         self._references = References.build(sparse_map, LazyDescriptors(describe, len(store)))
 
@@ -311,7 +311,7 @@ class _LiftedKeypoints:
     """The N keypoints of a photograph of the map that have a 3D point.
 
     Attributes:
-        points: (N,) numbers of the points; several photographs may observe one point.
+        points: (N,) ids of the points; several photographs may observe one point.
         xyz: (N, 3) the points, world metres.
         xy: (N, 2) float32 COLMAP pixels of the keypoints.
         descriptors: (N, D) as extracted. As unit vectors in float32 they would take two to

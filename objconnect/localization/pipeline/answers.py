@@ -48,7 +48,7 @@ _COLUMNS: Final = (
 )
 # Columns of a table with a coordinate reference system.
 _CRS_COLUMNS: Final = ("x", "y", "h", "crs", "h_above")
-# Text by which further files of this command are recognised; they may be replaced.
+# Text that identifies further files of this command, which may be replaced.
 _MARK: Final = "poses by objconnect localize"
 _TABLE_SUFFIX: Final = ".csv"
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
@@ -80,7 +80,7 @@ class Geography:
             digits = 8 if self.projection.is_geographic else 4
             x, y, h = self.projection.from_geodetic(place).tolist()
             known |= {"x": round(x, digits), "y": round(y, digits), "h": round(h, 4)}
-            known |= {"crs": self.projection.name, "h_above": self.projection.heights}
+            known |= {"crs": self.projection.name, "h_above": self.projection.height_reference}
         return known
 
 
@@ -119,7 +119,7 @@ class ImageEstimate:
 
     @property
     def is_localized(self) -> bool:
-        """Return whether the photograph was localized, which a fallback pose does not mean."""
+        """Return whether the photograph was localized; a fallback pose does not count."""
         return self.estimate.status is Status.OK and self.estimate.cam_from_world is not None
 
     @property

@@ -121,7 +121,7 @@ def _candidates(
 
 
 def _find_nearest(focal: float, cameras: Sequence[Camera]) -> Camera | None:
-    """Return the camera whose relative focal length is nearest; None if none is of that lens."""
+    """Return the camera of nearest relative focal length; None if it is not of the same lens."""
     difference = {camera: _relative_difference(camera, focal) for camera in cameras}
     best = min(difference, key=lambda camera: difference[camera], default=None)
     return best if best is not None and difference[best] < SAME_LENS else None
@@ -169,7 +169,7 @@ def estimate_camera(
     curve, slope, _ = np.polyfit(focals - focals[1], misfit[near], 2)
     camera = cameras[best]
     factor = math.exp(-slope / (2 * curve)) if curve > 0 else 1.0
-    return _change(camera, (camera.width, camera.height), factor, 1.0, 0.0)
+    return _rescale(camera, (camera.width, camera.height), factor, 1.0, 0.0)
 
 
 def add_focal_error(
@@ -229,10 +229,10 @@ def _same_aspect(first: tuple[int, int], second: tuple[int, int]) -> bool:
 def _fit_to_size(camera: Camera, size: tuple[int, int]) -> Camera:
     """Return the camera of a resized image; the aspect ratio may differ slightly."""
     scale = size[0] / camera.width
-    return _change(camera, size, scale, scale, (size[1] - scale * camera.height) / 2)
+    return _rescale(camera, size, scale, scale, (size[1] - scale * camera.height) / 2)
 
 
-def _change(
+def _rescale(
     camera: Camera, size: tuple[int, int], focal_scale: float, centre_scale: float, shift_y: float
 ) -> Camera:
     """Return a camera of another size.

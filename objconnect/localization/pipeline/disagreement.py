@@ -18,10 +18,10 @@ _MIN_PHOTOGRAPHS: Final = 5
 # Median distance, in standard deviations of one axis, from which a warning is given. An error that
 # all photographs share exceeds it with a probability of 1 / 90 horizontally and 1 / 370 vertically.
 _FAR_SIGMAS: Final = 3.0
-# Horizontal error (m) of a receiver without corrections that is not exceeded at 95 % of sites (GPS
-# SPS standard of 2020).
+# Horizontal error (m) of a GPS receiver without corrections, 95th percentile (GPS SPS standard of
+# 2020).
 _RECEIVER_M: Final = 8.0
-# Lower bound of standard deviations, metres; no receiver has a smaller one.
+# Lower bound of standard deviations, metres, which avoids division by 0. No receiver is as exact.
 _MIN_SIGMA_M: Final = 1e-3
 
 
@@ -73,7 +73,8 @@ def measure_disagreement(
     """Compare estimated with measured positions; None if fewer than five photographs have both.
 
     Distances are divided by the standard deviation of the difference between estimate and
-    measurement. The estimate's standard deviation includes the map's on earth if it is known.
+    measurement. The estimate's standard deviation includes the accuracy of the map on earth if that
+    is known.
     ``is_far_in_map`` compares with the estimate's standard deviation within the map alone.
     """
     compared = np.array(list(_compare(estimates, geography))).reshape(-1, 5)

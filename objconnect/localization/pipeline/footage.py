@@ -107,13 +107,13 @@ def _map_position(localization_map: LocalizationMap | None) -> Pair | None:
 
 
 def _map_focals(localization_map: LocalizationMap | None, video: Video) -> list[float]:
-    """Return the 35 mm equivalent focal lengths (mm) of the map's cameras of a video's shape."""
+    """Return the 35 mm equivalent focal lengths (mm) of the map's cameras of a video's aspect."""
     cameras: Collection[Camera] = () if localization_map is None else localization_map.cameras
-    shape = video.width / video.height
+    aspect = video.width / video.height
     return [
         _equivalent_focal(camera)
         for camera in cameras
-        if abs(camera.width / camera.height / shape - 1) < SAME_LENS
+        if abs(camera.width / camera.height / aspect - 1) < SAME_LENS
     ]
 
 
@@ -196,10 +196,11 @@ def cameras_of_frames(
 
 
 def _reference_focal(telemetry: Sequence[Telemetry], lenses: Sequence[float]) -> float | None:
-    """Return the focal length (mm) of the telemetry that is nearest to one of the map's.
+    """Return the focal length in the telemetry that is nearest to one of the map's cameras.
 
-    If several are equally near, or none is near, it is the most frequent. None without any.
-    ``lenses`` are the 35 mm equivalent focal lengths (mm) of the map's cameras.
+    If several are equally near, or none is near, the most frequent one is returned; None if the
+    telemetry has no focal length. Focal lengths are 35 mm equivalent (mm); ``lenses`` are those of
+    the map's cameras.
     """
     focals = Counter(item.focal_mm for item in telemetry if item.focal_mm is not None)
     if not focals:

@@ -50,7 +50,7 @@ from objconnect.scene.storage.scratch import cache_or_scratch
 
 Source = PhotographFolder | VideoFrames
 
-# Text by which records of this command are recognised; they may be replaced.
+# Text that identifies records of this command, which may be replaced.
 _RECORD: Final = "sequence by objconnect localize"
 _DEFAULTS: Final = LocalizeOptions()
 

@@ -113,7 +113,7 @@ class PhotographFolder:
         Raises:
             InputError: none of the photographs can be localized.
         """
-        self._require_one()
+        self._require_localizable()
         reader = self.reader
         if self.seconds is None:
             reader = add_estimates(reader, self.paths, localize)
@@ -124,7 +124,7 @@ class PhotographFolder:
         warn_of_rolling_shutter(self.reader.metadata.values())
         warn_of_doubts(self.reader)
 
-    def _require_one(self) -> None:
+    def _require_localizable(self) -> None:
         """Check that at least one photograph can be read and has a camera.
 
         Raises:
@@ -170,7 +170,7 @@ def _priors(
     """Read the table of priors, by name; None without a table.
 
     Raises:
-        InputError: the table cannot be read, has none of the photographs, or gives
+        InputError: the table cannot be read, has no row for any of the photographs, or gives
             geodetic positions although the map is not georeferenced.
     """
     path = options.priors
@@ -181,8 +181,8 @@ def _priors(
     missing = [name for name in paths if name not in stated.rows]
     if len(missing) == len(paths):
         raise InputError(
-            f"{path} has none of the photographs, such as {missing[0]!r}: its names must be those "
-            "of the files"
+            f"{path} has no row for any of the photographs, such as {missing[0]!r}: its names must "
+            "be those of the files"
         )
     if missing:
         log.warning("%s lacks %d of %d photographs", path, len(missing), len(paths))
@@ -190,8 +190,8 @@ def _priors(
     assumed = AssumedSigmas(
         np.full(3, options.gps_sigma_m),
         options.gimbal_sigma_deg,
-        f"--gps-sigma {options.gps_sigma_m:g} (metres) stands for it",
-        f"--gimbal-sigma {options.gimbal_sigma_deg:g} (degrees) stands for it",
+        f"--gps-sigma {options.gps_sigma_m:g} (metres) is used",
+        f"--gimbal-sigma {options.gimbal_sigma_deg:g} (degrees) is used",
     )
     return stated.priors(frame, paths, assumed)
 

@@ -149,7 +149,7 @@ class Tracker:
         return predicted if has_position and predicted.sigma_deg < _LOST_SIGMA_DEG else None
 
     def _localize_near(self, query: Query, predicted: Motion, tracked: bool) -> Estimate:
-        """Localize an image near the predicted pose; ``tracked`` is that of ``Query``."""
+        """Localize an image near the predicted pose; ``tracked`` sets ``Query.tracked``."""
         with_prior = replace(query, prior=predicted.prior, tracked=tracked)
         return localize_safely(self._localizer, with_prior)
 

@@ -106,7 +106,7 @@ def dense(
         options: thresholds of consistency and fusion.
 
     Returns:
-        Figures of the depth maps, with accuracy where the scene has true depth.
+        Statistics of the depth maps, with accuracy where the scene has true depth.
 
     Raises:
         InputError: the scene is not finished, is being written by another run, has no map or a

@@ -75,7 +75,7 @@ class _Sources(NamedTuple):
         seen: whether a source shows a pixel, (K, H, W), see ``Visibility``.
         num_counted: number of sources that a cost averages, (H, W), see ``Visibility``.
         grey: pixels of all pictures, see ``_concatenate``.
-        inverse_depths: inverse depths of their maps likewise; empty without maps.
+        inverse_depths: inverse depth maps of all sources in the same layout; empty without maps.
         begins: start of each picture in these arrays, (K,).
         shapes: height and width of each picture, (K, 2).
         to_sources: warps to the sources, (K, 3, 4).
@@ -163,10 +163,10 @@ class CompiledPhotometry:
         """Return the cost of a plane at each pixel; see ``PlaneCosts``."""
         costs = torch.empty(planes.shape[1:])
         values, out = planes.contiguous().numpy(), costs.numpy()
-        least = np.full(len(out), np.inf, np.float32) if bounds is None else bounds.numpy()
+        upper = np.full(len(out), np.inf, np.float32) if bounds is None else bounds.numpy()
 
         def fill(part: slice) -> None:
-            _fill_costs(window.part(part), values[:, part], least[part], self._sources, out[part])
+            _fill_costs(window.part(part), values[:, part], upper[part], self._sources, out[part])
 
         self._run_in_parts(fill, len(out))
         return costs
@@ -221,8 +221,8 @@ def _fill_windows(window, padded, near, sigma_grey):  # type: ignore[no-untyped-
 
 
 @_compiled
-def _fill_costs(window, planes, below, sources, costs):  # type: ignore[no-untyped-def]
-    """Write the cost (n,) of a plane at each pixel."""
+def _fill_costs(window, planes, bounds, sources, costs):  # type: ignore[no-untyped-def]
+    """Write the cost (n,) of a plane at each pixel; ``bounds`` as in ``PlaneCosts.cost``."""
     seen, num_counted, grey, inverse_depths, begins, shapes, there, back, weight, limit_px = sources
     rows, columns, weights, correlators = window
     costs_so_far = np.empty(len(seen), np.float32)
@@ -265,7 +265,7 @@ def _fill_costs(window, planes, below, sources, costs):  # type: ignore[no-untyp
             for j in range(needed - remaining):
                 cost += costs_so_far[j]
             cost /= _F(needed)
-            if cost >= below[i]:
+            if cost >= bounds[i]:
                 break
         costs[i] = cost
 

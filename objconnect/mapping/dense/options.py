@@ -19,10 +19,10 @@ class DenseOptions(Config):
         "below this, px.",
     )
     confirmed: int = Field(
-        2, ge=1, description="Minimum number of source maps that confirm a depth to keep it."
+        2, ge=1, description="Minimum number of source maps that must confirm a depth."
     )
     fused: int = Field(
-        3, ge=1, description="Minimum number of maps that show a point of the cloud to keep it."
+        3, ge=1, description="Minimum number of maps that must show a point of the cloud."
     )
 
 

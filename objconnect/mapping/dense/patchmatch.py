@@ -32,7 +32,8 @@ _CHUNK = 16384
 _COARSEST_PX: Final = 160
 _FIRST_ROUNDS: Final = 4
 _ROUNDS: Final = 1
-# Largest slope of a random first guess, pixels of disparity per pixel. Steeper planes grow from it.
+# Largest slope of a random first guess, pixels of disparity per pixel. Random steps find steeper
+# planes.
 _STEEPEST: Final = 0.5
 # Sizes of random steps: disparity in pixels, and its slope in pixels per pixel; halved each round,
 # and multiplied by the argument ``step``.

@@ -25,7 +25,7 @@ NOISE_VARIANCE = 1e-5
 """Variance (of grey in 0..1) of noise. Windows with less variance have no texture."""
 
 SIGMA_PX: Final = 4.0
-"""Width (px) of the Gaussian weight of samples: the middle of the window's edge has 61 %."""
+"""Sigma (px) of the Gaussian weight of samples; the weight is 61 % at the middle of an edge."""
 
 SIGMA_GREY: Final = 0.1
 """Difference in grey (0..1) at which the weight of a sample falls by a factor of e, because it is
@@ -190,8 +190,8 @@ class Photometry:
         warp = self._there[k]
         at = warp(x, y, w)
         ux, uy, vx, vy = warp.slopes(at, gx, gy)
-        # In grid_sample's units, -1 and 1 are the edges of the picture. It is faster with all x
-        # contiguous, and all y, so the last axis of the grid is stored first.
+        # In grid_sample's units, -1 and 1 are the edges of the picture. It is faster if all x are
+        # contiguous and all y are, so the last axis of the grid is stored first.
         side = len(STEPS)
         grid = torch.empty(2, side, side, len(w), device=w.device)
         step = self._steps[:, None]

@@ -95,7 +95,7 @@ def planes_through(seeds: NDArray[np.float64], height: int, width: int) -> Tenso
     )
     pixels = torch.stack([x, y], -1).reshape(-1, 2)
     count = min(_NEIGHBOURS, len(points))
-    # A list of ranks keeps the axis of neighbours also for a single one.
+    # With a list of ranks, the result has an axis of neighbours even if there is a single one.
     neighbours = KDTree(seeds[:, :2]).query(pixels.numpy(), list(range(1, count + 1)))
     distance, which = (torch.from_numpy(each) for each in neighbours)
     near = points[which]

@@ -69,7 +69,7 @@ class Accuracy:
 
 @dataclass(frozen=True)
 class DenseReport:
-    """Figures of a dense reconstruction.
+    """Statistics of a dense reconstruction.
 
     Attributes:
         photographs: number of photographs of the map.
@@ -88,11 +88,11 @@ class DenseReport:
     accuracy: Mapping[str, Accuracy]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the figures as a dictionary for JSON."""
+        """Return the statistics as a dictionary for JSON."""
         return asdict(self)
 
     def text(self) -> str:
-        """Return the figures as text."""
+        """Return the statistics as text."""
         lines = [f"{self.maps} depth maps of {self.photographs} photographs, "
                  f"{self.points} points in the cloud"]  # fmt: skip
         if self.cpu_seconds_per_map is not None:

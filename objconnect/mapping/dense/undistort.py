@@ -27,7 +27,7 @@ _QUALITY = 98
 
 
 def pinhole_of(camera: Camera, size: int) -> Camera:
-    """Return a PINHOLE camera whose picture lies completely inside the one of ``camera``.
+    """Return a PINHOLE camera whose field of view lies completely inside that of ``camera``.
 
     Args:
         camera: the camera of photographs.
@@ -70,7 +70,7 @@ def undistort_map(sparse_map: SparseMap, cameras: Mapping[Camera, Camera]) -> Sp
 
 
 def write_undistorted(photograph: Path, camera: Camera, pinhole: Camera, out: Path) -> None:
-    """Undistort a photograph and write it; copy one without distortion that keeps its size.
+    """Undistort a photograph and write it; copy it if it has no distortion and keeps its size.
 
     Raises:
         InputError: the photograph is missing, damaged or not of its camera's size, or cannot be

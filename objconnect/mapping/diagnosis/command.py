@@ -1,7 +1,7 @@
 """The command ``diagnose``: measure coverage, accuracy and uniformity of a map's points.
 
 The object-connect paper claims that structure from motion misses small objects, covers the ground
-unevenly and has points that drift off the surfaces. These figures test the claim on a map.
+unevenly and has points that drift off the surfaces. These statistics test the claim on a map.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ _PICTURE = Path("pictures", "diagnosis.png")
 
 
 @dataclass(frozen=True)
-class Figures:
-    """Figures of the points of a map.
+class PointStatistics:
+    """Statistics of the points of a map.
 
     Attributes:
         points: number of points.
@@ -51,7 +51,7 @@ class Figures:
     uniformity: Uniformity | None
 
     def text(self) -> str:
-        """Return the figures as text."""
+        """Return the statistics as text."""
         lines = [f"{self.points} points"]
         lines += [f"{name} objects: {c.text()}" for name, c in self.objects.items()]
         lines += [f"  small, {name}: {c.text()}" for name, c in self.small_objects.items()]
@@ -67,13 +67,13 @@ class Figures:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Figures of a map, with and without the points that ``supplement`` added.
+    """Statistics of a map, with and without the points that ``supplement`` added.
 
     Attributes:
         reprojection_error_px: mean reprojection error over all observations, pixels.
         track_length: mean number of photographs that observe a point.
-        map: figures of all points.
-        before: figures without added points; None if there are none.
+        map: statistics of all points.
+        before: statistics without added points; None if there are none.
         added: distances of added points from the surface of their object, infinite for points on no
             object; None without added points or truth.
         picture: file of the picture of the points over a photograph.
@@ -81,17 +81,17 @@ class Diagnosis:
 
     reprojection_error_px: float
     track_length: float
-    map: Figures
-    before: Figures | None
+    map: PointStatistics
+    before: PointStatistics | None
     added: SurfaceDistances | None
     picture: Path
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the figures as a dictionary for JSON."""
+        """Return the statistics as a dictionary for JSON."""
         return asdict(self)
 
     def text(self) -> str:
-        """Return the figures as text."""
+        """Return the statistics as text."""
         lines = [
             f"{self.reprojection_error_px:.2f} px mean reprojection error, tracks of "
             f"{self.track_length:.1f} images",
@@ -117,7 +117,7 @@ def diagnose(path: Path, masks: Path | None = None, cell_m: float = 5.0) -> Diag
         cell_m: side of the cells over which uniformity is measured, metres.
 
     Returns:
-        The figures. ``pictures/diagnosis.png`` is written into the scene.
+        The statistics. ``pictures/diagnosis.png`` is written into the scene.
 
     Raises:
         InputError: the scene is not finished, has no map, or has a damaged file.
@@ -131,8 +131,8 @@ def diagnose(path: Path, masks: Path | None = None, cell_m: float = 5.0) -> Diag
     truth = read_truth(scene, sparse_map)
     cells = visible_cells(scene, sparse_map, cell_m)
 
-    def figures(kept: NDArray[np.bool_]) -> Figures:
-        return Figures(
+    def measure_points(kept: NDArray[np.bool_]) -> PointStatistics:
+        return PointStatistics(
             points=int(kept.sum()),
             **_object_coverage(scene, truth, kept),
             masks=mask_coverage(sparse_map, user_masks, kept),
@@ -149,7 +149,7 @@ def diagnose(path: Path, masks: Path | None = None, cell_m: float = 5.0) -> Diag
         states = {"before": ~added, "after": states["map"]}
     picture = path / _PICTURE
     _draw(scene, sparse_map, truth, user_masks, states, picture)
-    measured = [figures(kept) for kept in states.values()]
+    measured = [measure_points(kept) for kept in states.values()]
     return Diagnosis(
         reprojection_error_px=sparse_map.reprojection_error(),
         track_length=float(sparse_map.track_length.mean()),
@@ -163,7 +163,7 @@ def diagnose(path: Path, masks: Path | None = None, cell_m: float = 5.0) -> Diag
 def _object_coverage(
     scene: Scene, truth: Truth | None, kept: NDArray[np.bool_]
 ) -> dict[str, dict[str, ObjectCoverage]]:
-    """Return the fields ``objects`` and ``small_objects`` of ``Figures`` for the kept points."""
+    """Return the fields ``objects`` and ``small_objects`` of ``PointStatistics``."""
     if truth is None:
         return {"objects": {}, "small_objects": {}}
     in_view = [item for item in scene.objects.objects if item.id in truth.ids_in_view]

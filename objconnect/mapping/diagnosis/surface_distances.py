@@ -71,7 +71,7 @@ class SurfaceDistances:
         return SurfaceDistances(len(distances), float((distances < CLOSE_M).mean()), middle, high)
 
     def text(self) -> str:
-        """Return the figures as text."""
+        """Return the statistics as text."""
         percentiles = "" if self.median_m is None else f"median {self.median_m:.3f} m, "
         percentiles += "" if self.p90_m is None else f"90 % under {self.p90_m:.3f} m, "
         return f"{percentiles}{self.close:.1%} of {self.points} within {CLOSE_M} m"

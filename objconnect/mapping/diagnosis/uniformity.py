@@ -17,8 +17,8 @@ from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 _MIN_VIEWS = 2
 # Each photograph is sampled on a grid with this many pixels per side.
 _PER_SIDE = 64
-# Rays that meet the ground plane farther than this many heights of the camera above it are ignored,
-# because they are near the horizon.
+# Rays that meet the ground plane at a depth of more than this many times the camera's height above
+# it are ignored, because they are near the horizon.
 _MAX_CAMERA_HEIGHTS = 5.0
 
 
@@ -40,7 +40,7 @@ class Uniformity:
     entropy: float
 
     def text(self) -> str:
-        """Return the figures as text."""
+        """Return the statistics as text."""
         return (
             f"{self.empty:.1%} of {self.cells} cells of {self.cell_m:g} m without a point, "
             f"entropy {self.entropy:.3f} of 1"

@@ -17,7 +17,7 @@ from pydantic import Field
 from objconnect.ingestion.virtual.command import SESSION, VirtualReport, photograph_orthophoto
 from objconnect.ingestion.virtual.flight import make_camera
 from objconnect.ingestion.virtual.options import ViewOptions
-from objconnect.ingestion.virtual.survey import Survey, ground_ends, survey_rasters
+from objconnect.ingestion.virtual.survey import Survey, horizontal_bounds, survey_rasters
 from objconnect.mapping.build import build_map
 from objconnect.mapping.pairs.options import PairQueryOptions
 from objconnect.mapping.pairs.photographs import heights_of, query_camera, take_photographs
@@ -95,7 +95,7 @@ class PairRecord(Record):
 
 @dataclass(frozen=True)
 class PairReport:
-    """Figures of a flight data set made of two orthophotos.
+    """Statistics of a flight data set made of two orthophotos.
 
     Attributes:
         queries: number of queries.
@@ -104,7 +104,7 @@ class PairReport:
         registration: offset of the orthophotos before the move, and residual after it.
         error: error of the reference poses.
         virtual: virtual photographs of the map.
-        map_report: figures of the map.
+        map_report: statistics of the map.
         notes: remarks on the files, a line each.
     """
 
@@ -118,7 +118,7 @@ class PairReport:
     notes: tuple[str, ...]
 
     def text(self) -> str:
-        """Return the figures as lines."""
+        """Return the statistics as lines."""
         low, high = self.heights_m
         lines = [f"{self.queries} queries from {low:.0f} to {high:.0f} m above the ground"]
         if any(self.moved_m):
@@ -130,7 +130,7 @@ class PairReport:
         return "\n".join((*lines, self.virtual.text(), self.map_report.text()))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the figures as a dictionary for JSON."""
+        """Return the statistics as a dictionary for JSON."""
         return {
             "queries": self.queries,
             "heights_m": self.heights_m,
@@ -243,7 +243,7 @@ def _survey_pair(
     mapped = survey_rasters(first, heights, undulation or 0.0, ViewOptions(), None)
     _require_large(first, mapped)
     origin = mapped.surface.origin
-    low, high = ground_ends(second.grid, origin, origin.altitude)
+    low, high = horizontal_bounds(second.grid, origin, origin.altitude)
     area = Area(np.maximum(low, mapped.low), np.minimum(high, mapped.high))
     if (area.low >= area.high).any():
         raise InputError(f"{first.path} and {other} do not overlap")

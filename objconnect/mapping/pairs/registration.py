@@ -49,8 +49,8 @@ _REACH: Final = 0.25
 # that differ from it by more than ``_PEAK_PX`` (px) in either axis.
 _MIN_PEAK_RATIO: Final = 1.25
 _PEAK_PX: Final = 3
-# Windows agree if their offsets differ from the median by less (px). The dates are registered
-# if at least this many windows agree, and this share of the windows with a clear offset.
+# Windows agree if their offsets differ from the median by less (px). The registration
+# is known if at least this many windows agree, and this share of the windows with a clear offset.
 _AGREE_PX: Final = 6.0
 _MIN_AGREEING: Final = 5
 _MIN_AGREEING_SHARE: Final = 0.6
@@ -89,7 +89,7 @@ class Registration:
     largest_m: float | None = None
 
     def text(self) -> str:
-        """Return the figures in one line."""
+        """Return the statistics in one line."""
         counts = f"{self.agreeing} of {self.windows} windows agree ({self.clear} clear)"
         if self.median_m is None or self.largest_m is None:
             return f"registration unknown: {counts}"
@@ -122,8 +122,8 @@ def register(
         for k, corner in enumerate(corners, 1):
             points = _window_points(corner, side, pixel)
             first_edges, second_edges = (
-                _edges(sample_colours(date, origin, points, pixel), side)
-                for date in (first, second)
+                _edges(sample_colours(orthophoto, origin, points, pixel), side)
+                for orthophoto in (first, second)
             )
             advance(k)
             if first_edges is None or second_edges is None:
@@ -215,7 +215,7 @@ def _vertex(values: Array, index: int) -> float:
 
 
 def _summarize(pixel: float, windows: int, offsets: Array) -> Registration:
-    """Return the figures of clear offsets (N, 2), px."""
+    """Return the registration from clear offsets (N, 2), px."""
     clear = len(offsets)
     best = max((_agreeing(offsets, each) for each in offsets), key=np.sum, default=None)
     if best is None:

@@ -1,8 +1,8 @@
 """Classify 3D points as lying on an object or on the ground.
 
 The classifier is a small network, trained on rendered towns with known objects. Its inputs are
-figures measured in the photographs. An object of 4 pixels has a parallax of only one or two pixels
-against the ground, so no single figure distinguishes it from a mark on the ground.
+features measured in the photographs. An object of 4 pixels has a parallax of only one or two pixels
+against the ground, so no single feature distinguishes it from a mark on the ground.
 """
 
 from __future__ import annotations
@@ -29,27 +29,27 @@ SHIPPED: Final = Path(__file__).with_name("supplement.safetensors")
 
 # Architecture and inputs of the trained classifier. Other values need other weights.
 _WIDTHS: Final = (64, 32)
-_TRACK_FIGURES: Final = 15
-_APPEARANCE_FIGURES: Final = 9
-NUM_FIGURES: Final = _TRACK_FIGURES + len(HEIGHTS) + _APPEARANCE_FIGURES
-"""Number of figures of a point."""
+_TRACK_FEATURES: Final = 15
+_APPEARANCE_FEATURES: Final = 9
+NUM_FEATURES: Final = _TRACK_FEATURES + len(HEIGHTS) + _APPEARANCE_FEATURES
+"""Number of features of a point."""
 
-# Upper bounds of figures: least cost and costs at all heights, as ratios to the cost at the ground,
-# and the distance (m) between the height of least cost and the point.
+# Upper bounds of features: the minimum cost and the costs at all heights, as ratios to the cost at
+# the ground, and the distance (m) between the height of minimum cost and the point.
 _MAX_LEAST_COST, _MAX_COST, _MAX_DISTANCE_M = 1.5, 3.0, 3.0
 # Added to standard deviations (m), so that their logarithm and the ratio to them stay finite.
 _LOG_SIGMA_M: Final = 1e-3
 _RATIO_SIGMA_M: Final = 0.05
 
 
-def measure(
+def compute_features(
     images: Sequence[MapImage],
     blobs: Sequence[Blobs],
     ground: Ground,
     tracks: Tracks,
     costs: NDArray[np.float64],
 ) -> NDArray[np.float32]:
-    """Compute the classifier's inputs for the points of tracks, (T, ``NUM_FIGURES``).
+    """Compute the classifier's inputs for the points of tracks, (T, ``NUM_FEATURES``).
 
     They are the height above the ground (m), its standard deviation (log) and their ratio; the
     reprojection error; the numbers of photographs with a blob at the point and with the point in
@@ -93,7 +93,7 @@ def measure(
     height = tracks.xyz[:, 2] - ground.height_at(tracks.xyz[:, :2])
     relative = compare_with_ground(costs, height)
     strength, appearance = look_up("strength"), look_up("appearance")
-    figures = [
+    features = [
         height,
         np.log(sigma + _LOG_SIGMA_M),
         height / (sigma + _RATIO_SIGMA_M),
@@ -109,15 +109,15 @@ def measure(
         relative.ground_cost,
         mean(look_up("radius_index")),
         *relative.ratios.clip(0, _MAX_COST).T,
-        *(mean(appearance[:, k]) for k in range(_APPEARANCE_FIGURES)),
+        *(mean(appearance[:, k]) for k in range(_APPEARANCE_FEATURES)),
     ]
-    return np.asarray(np.stack(figures, 1), np.float32)
+    return np.asarray(np.stack(features, 1), np.float32)
 
 
 class PointClassifier(nn.Module):
-    """A multilayer perceptron that maps figures (T, F) to logits (T,) of being on an object.
+    """A multilayer perceptron that maps features (T, F) to logits (T,) of being on an object.
 
-    Figures are normalised to mean 0 and deviation 1.
+    Features are normalised to mean 0 and deviation 1.
     """
 
     mean: Tensor
@@ -125,25 +125,25 @@ class PointClassifier(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.register_buffer("mean", torch.zeros(NUM_FIGURES))
-        self.register_buffer("deviation", torch.ones(NUM_FIGURES))
+        self.register_buffer("mean", torch.zeros(NUM_FEATURES))
+        self.register_buffer("deviation", torch.ones(NUM_FEATURES))
         first, second = _WIDTHS
         self.layers = nn.Sequential(
-            nn.Linear(NUM_FIGURES, first),
+            nn.Linear(NUM_FEATURES, first),
             nn.GELU(),
             nn.Linear(first, second),
             nn.GELU(),
             nn.Linear(second, 1),
         )
 
-    def forward(self, figures: Tensor) -> Tensor:
-        logits: Tensor = self.layers((figures - self.mean) / self.deviation)[..., 0]
+    def forward(self, features: Tensor) -> Tensor:
+        logits: Tensor = self.layers((features - self.mean) / self.deviation)[..., 0]
         return logits
 
     @torch.inference_mode()
-    def predict(self, figures: NDArray[np.float32]) -> NDArray[np.float64]:
+    def predict(self, features: NDArray[np.float32]) -> NDArray[np.float64]:
         """Return the probability of each point being on an object, (T,)."""
-        probabilities = torch.sigmoid(self(torch.from_numpy(figures)))
+        probabilities = torch.sigmoid(self(torch.from_numpy(features)))
         return np.asarray(probabilities.numpy(), np.float64)
 
 
@@ -155,9 +155,9 @@ def read_classifier(path: Path | None = None) -> PointClassifier:
     """
     path = path or shipped_path(SHIPPED)
     weights = read_weights(path)
-    if weights.config.get("figures") != NUM_FIGURES:
+    if weights.config.get("figures") != NUM_FEATURES:
         raise InputError(
-            f"{path} is not a classifier of this version, with {NUM_FIGURES} figures: "
+            f"{path} is not a classifier of this version, with {NUM_FEATURES} features: "
             "train it again"
         )
     classifier = PointClassifier()

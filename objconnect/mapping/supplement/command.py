@@ -23,7 +23,7 @@ class SupplementReport:
     Attributes:
         points: number of added points.
         observations: number of their observations.
-        diagnosis: figures of the map before and after.
+        diagnosis: statistics of the map before and after.
     """
 
     points: int
@@ -55,8 +55,8 @@ def supplement(
             none.
 
     Returns:
-        The added points, with the map's figures before and after. ``pictures/diagnosis.png`` shows
-        both.
+        The added points, with the map's statistics before and after.
+        ``pictures/diagnosis.png`` shows both.
 
     Raises:
         InputError: the scene is not finished, has no map or a damaged file, or none of its

@@ -16,7 +16,7 @@ from objconnect.scene.maps.sparse_map import MapImage
 # Number of horizontally nearest points to which the ground plane under a point is fitted.
 _NEIGHBOURS: Final = 24
 # Scales (m) of the Cauchy weights in the rounds of the fit. The plane starts level at the median
-# height; the first scales let it fall from roofs and tilt with slopes.
+# height; the first, larger scales let it descend from roofs to the ground and follow slopes.
 _CAUCHY_SCALES_M: Final = (0.8, 0.4, 0.2, 0.1, 0.1, 0.1)
 # Side of the grid cells of the ground, and margin around the middle 99 % of the points (m).
 _CELL_M: Final = 2.0

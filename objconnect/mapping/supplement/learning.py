@@ -20,7 +20,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits
 
 from objconnect.learning.checkpoint import write_weights
 from objconnect.mapping.diagnosis.surface_distances import CLOSE_M, read_truth
-from objconnect.mapping.supplement.classifier import NUM_FIGURES, PointClassifier
+from objconnect.mapping.supplement.classifier import NUM_FEATURES, PointClassifier
 from objconnect.mapping.supplement.config import SupplementConfig
 from objconnect.mapping.supplement.small_objects import Proposals, propose_points
 from objconnect.scene.bundle.scene import Scene
@@ -39,8 +39,8 @@ _RATE: Final = 4e-3
 _DECAY: Final = 1e-2
 # Weight of points on small objects, which are rare.
 _SMALL_WEIGHT: Final = 10.0
-# Share of the figures that each step replaces by their mean, so that the classifier tolerates
-# unknown figures.
+# Share of the features that each step replaces by their mean, so that the classifier tolerates
+# unknown features.
 _DROPOUT: Final = 0.1
 
 
@@ -48,13 +48,13 @@ class TrainingData(NamedTuple):
     """Points of a scene with ground truth.
 
     Attributes:
-        figures: inputs (T, F) of the classifier.
+        features: inputs (T, F) of the classifier.
         on_object: (T,) bool, whether each point is within 0.5 m of the surface of an object.
         small: id (T,) of the small object on which each point lies, 0 for none.
         uncovered: ids of small objects in view that have no point in the map.
     """
 
-    figures: NDArray[np.float32]
+    features: NDArray[np.float32]
     on_object: NDArray[np.bool_]
     small: NDArray[np.int64]
     uncovered: frozenset[int]
@@ -80,7 +80,7 @@ def read_training_data(path: Path) -> TrainingData:
     on_object = (truth.owners > 0) & (truth.distance_m < CLOSE_M)
     owner = np.where(on_object & np.isin(truth.owners, list(small)), truth.owners, 0)
     uncovered = (small & before.ids_in_view) - set(np.unique(before.owners).tolist())
-    return TrainingData(proposals.figures, on_object, owner, frozenset(uncovered))
+    return TrainingData(proposals.features, on_object, owner, frozenset(uncovered))
 
 
 def _to_map(proposals: Proposals) -> SparseMap:
@@ -110,21 +110,21 @@ def train_classifier(
     """
     torch.manual_seed(seed)
     classifier = PointClassifier()
-    figures = torch.from_numpy(np.concatenate([each.figures for each in data]))
-    if not len(figures):
+    features = torch.from_numpy(np.concatenate([each.features for each in data]))
+    if not len(features):
         raise InputError("the scenes have no points to train on: give other scenes")
     target = torch.from_numpy(np.concatenate([each.on_object for each in data])).float()
     small = torch.from_numpy(np.concatenate([each.small for each in data])) > 0
     weight = torch.where(small, _SMALL_WEIGHT, 1.0)
-    classifier.mean.copy_(figures.mean(0))
-    classifier.deviation.copy_(figures.std(0).clamp_min(1e-6))
+    classifier.mean.copy_(features.mean(0))
+    classifier.deviation.copy_(features.std(0).clamp_min(1e-6))
     drop = torch.nn.Dropout(_DROPOUT)
     optimizer = torch.optim.AdamW(classifier.parameters(), _RATE, weight_decay=_DECAY)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, _RATE, steps)
     with progress_bar("steps", steps) as advance:
         for step in range(1, steps + 1):
-            batch = torch.randint(len(figures), (_BATCH,))
-            noisy = classifier.mean + drop(figures[batch] - classifier.mean)
+            batch = torch.randint(len(features), (_BATCH,))
+            noisy = classifier.mean + drop(features[batch] - classifier.mean)
             loss = binary_cross_entropy_with_logits(classifier(noisy), target[batch], weight[batch])
             optimizer.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
@@ -136,7 +136,7 @@ def train_classifier(
 
 def report(classifier: PointClassifier, data: TrainingData) -> list[str]:
     """Report the number of small objects that the classifier covers, at several precisions."""
-    probability = classifier.predict(data.figures)
+    probability = classifier.predict(data.features)
     order = np.argsort(-probability, kind="stable")
     precision = np.cumsum(data.on_object[order]) / np.arange(1, len(order) + 1)
     lines = []
@@ -146,8 +146,9 @@ def report(classifier: PointClassifier, data: TrainingData) -> list[str]:
         covered = data.uncovered & set(data.small[kept].tolist())
         least = float(probability[kept].min()) if len(kept) else 1.0
         lines.append(
-            f"{wanted:.0%} of {len(kept)} points on objects from probability {least:.3f} on: "
-            f"{len(covered)} of {len(data.uncovered)} small objects without a point get one"
+            f"{wanted:.0%} of {len(kept)} points with probability {least:.3f} or more are on "
+            f"objects: {len(covered)} of {len(data.uncovered)} small objects without a point get "
+            "one"
         )
     return lines
 
@@ -167,7 +168,7 @@ def main() -> None:
         for path in args.validation:
             print(path, *report(classifier, read_training_data(path)), sep="\n")
         learning = {"steps": args.steps, "seed": args.seed}
-        write_weights(args.out, classifier, {"figures": NUM_FIGURES, "learning": learning})
+        write_weights(args.out, classifier, {"figures": NUM_FEATURES, "learning": learning})
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None

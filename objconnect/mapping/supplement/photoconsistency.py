@@ -27,7 +27,7 @@ from objconnect.scene.storage.images import read_rgb
 from objconnect.scene.storage.lru_cache import LruCache
 
 HEIGHTS: Final = np.arange(-0.45, 3.5, 0.15)
-"""Heights above the ground that are compared (m). The classifier takes one figure for each."""
+"""Heights above the ground that are compared (m). The classifier has a feature for each."""
 
 # Mask of the ``HEIGHTS`` that are at the ground.
 _IS_GROUND: Final = np.abs(HEIGHTS) < 0.16

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from objconnect.mapping.supplement.association import Detections
 from objconnect.mapping.supplement.blobs import Blobs, find_blobs
-from objconnect.mapping.supplement.classifier import PointClassifier, measure
+from objconnect.mapping.supplement.classifier import PointClassifier, compute_features
 from objconnect.mapping.supplement.config import SupplementConfig
 from objconnect.mapping.supplement.ground_plane import Ground, find_nearest
 from objconnect.mapping.supplement.photoconsistency import compute_costs
@@ -50,13 +50,13 @@ class Proposals:
         images: photographs of the map.
         blobs: blobs of each photograph.
         tracks: T tracks of blobs with their points.
-        figures: inputs (T, F) of the classifier, results of ``classifier.measure``.
+        features: inputs (T, F) of the classifier, from ``classifier.compute_features``.
     """
 
     images: list[MapImage]
     blobs: list[Blobs]
     tracks: Tracks
-    figures: NDArray[np.float32]
+    features: NDArray[np.float32]
 
 
 def propose_points(
@@ -93,8 +93,8 @@ def propose_points(
     height = tracks.xyz[:, 2] - ground.height_at(tracks.xyz[:, :2])
     tracks = tracks.select((height > _MIN_HEIGHT_M) & (height < _MAX_HEIGHT_M))
     costs = compute_costs(images, folder, blobs, ground, tracks)
-    figures = measure(images, blobs, ground, tracks, costs)
-    return Proposals(images, blobs, tracks, figures)
+    features = compute_features(images, blobs, ground, tracks, costs)
+    return Proposals(images, blobs, tracks, features)
 
 
 def supplement_points(
@@ -124,7 +124,7 @@ def supplement_points(
     proposals = propose_points(sparse_map, folder, config, network, masks)
     names = [image.name for image in proposals.images]
     detections = {name: each.detections for name, each in zip(names, proposals.blobs, strict=True)}
-    probability = classifier.predict(proposals.figures)
+    probability = classifier.predict(proposals.features)
     tracks = proposals.tracks.select(probability > _MIN_PROBABILITY)
     points = []
     for track in range(len(tracks.xyz)):

@@ -15,8 +15,8 @@ from objconnect.mapping.supplement.ground_plane import Ground
 from objconnect.scene.maps.sparse_map import MapImage
 from objconnect.scene.runtime.progress import progress_bar
 
-# Tested heights (m) above the estimated ground, from below it, as an estimate on a slope may be too
-# high, to the roof of a van.
+# Tested heights (m) above the estimated ground. They start below it, because the estimate may be
+# too high on a slope, and end at the roof of a van.
 _LOWEST_M: Final = -0.75
 _HIGHEST_M: Final = 3.3
 _HEIGHT_STEP_M: Final = 0.25
@@ -153,7 +153,10 @@ def _tabulate_blobs(blobs: Blobs, shape: tuple[int, int]) -> NDArray[np.int32]:
 def project(
     image: MapImage, xyz: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Project points (N, 3) to pixels (N, 2); also return which lie inside the border, (N,)."""
+    """Project points (N, 3) to pixels (N, 2); also return which are visible, (N,).
+
+    A point is visible if its pixel lies in the image and not in the border of ``_BORDER_PX``.
+    """
     projected = image.camera.project(image.pose.transform(torch.from_numpy(xyz)))
     inside = projected.valid & image.camera.contains(projected.xy, _BORDER_PX)
     return projected.xy.numpy(), inside.numpy()
@@ -200,8 +203,10 @@ def _follow_one(view: int, photographs: _Photographs, min_views: int) -> Tracks:
 def _find_overlapping(
     view: int, images: Sequence[MapImage], ground: NDArray[np.float64]
 ) -> list[int]:
-    """Return the photographs with the largest shares of the ground (N, 3) under a photograph's
-    blobs, largest first."""
+    """Return the photographs that see the most ground points (N, 3) of the blobs of ``view``.
+
+    They are sorted by the share of the points that they see, largest first.
+    """
     overlap = [
         # A sample of the blobs is enough.
         0.0 if k == view or not len(ground) else float(project(image, ground[::50])[1].mean())
@@ -286,10 +291,10 @@ def refine_tracks(
             residual = blobs[view].xy[tracks.row[at]] - projected.xy.numpy()
             error[at] = np.where(projected.valid.numpy(), np.linalg.norm(residual, axis=1), np.inf)
             known = np.isfinite(error[at])
-            slope = (projected.jacobian.numpy() @ image.cam_from_world[:3, :3])[known]
+            derivatives = (projected.jacobian.numpy() @ image.cam_from_world[:3, :3])[known]
             weight = 1 / (1 + error[at][known] ** 2)
-            normal[owner[known]] += np.einsum("nij,nik,n->njk", slope, slope, weight)
-            right[owner[known]] += np.einsum("nij,ni,n->nj", slope, residual[known], weight)
+            normal[owner[known]] += np.einsum("nij,nik,n->njk", derivatives, derivatives, weight)
+            right[owner[known]] += np.einsum("nij,ni,n->nj", derivatives, residual[known], weight)
         if round_ < _STEPS:
             step = np.linalg.solve(normal, right[..., None])[..., 0]
             tracks = replace(tracks, xyz=tracks.xyz + step)
@@ -305,7 +310,9 @@ def refine_tracks(
 
 
 def drop_overlapping(tracks: Tracks, min_views: int) -> Tracks:
-    """Assign each blob to one track, the one with the most observations minus mean error (px).
+    """Assign each blob to one track, the best of those that share it.
+
+    Tracks are ranked by their number of observations minus their mean error in pixels.
 
     Tracks that lose too large a share of their blobs to others are dropped, and tracks with fewer
     than ``min_views`` blobs.

@@ -207,11 +207,11 @@ def _intersect_rays(images: Sequence[MapImage], xy: NDArray[np.float64]) -> NDAr
     poses = np.stack([image.cam_from_world[:3] for image in images])
     xyz: NDArray[np.float64] = triangulate_linearly(normalised[None], poses[None])[0]
     for _ in range(_ROUNDS):
-        residuals, slope = _residuals(images, xy, xyz)
+        residuals, derivatives = _residuals(images, xy, xyz)
         known = np.isfinite(residuals).all(1)
         if known.sum() < _MIN_RAYS:
             break
-        jacobian = slope[known].reshape(-1, 3)
+        jacobian = derivatives[known].reshape(-1, 3)
         step = np.linalg.lstsq(jacobian, residuals[known].ravel(), rcond=None)[0]
         xyz = xyz + step
         if np.linalg.norm(step) < _CONVERGED_M:
@@ -226,7 +226,7 @@ def _residuals(
 
     Residuals are infinite behind a camera. The derivatives are those of the projections.
     """
-    residuals, slope = np.full(xy.shape, np.inf), np.zeros((len(xy), 2, 3))
+    residuals, derivatives = np.full(xy.shape, np.inf), np.zeros((len(xy), 2, 3))
     poses = np.stack([image.cam_from_world for image in images])
     local = poses[:, :3, :3] @ xyz + poses[:, :3, 3]
     for camera in dict.fromkeys(image.camera for image in images):
@@ -235,8 +235,8 @@ def _residuals(
         assert projected.jacobian is not None
         valid = projected.valid.numpy()[:, None]
         residuals[has_camera] = np.where(valid, xy[has_camera] - projected.xy.numpy(), np.inf)
-        slope[has_camera] = projected.jacobian.numpy() @ poses[has_camera, :3, :3]
-    return residuals, slope
+        derivatives[has_camera] = projected.jacobian.numpy() @ poses[has_camera, :3, :3]
+    return residuals, derivatives
 
 
 def _normalise(image: MapImage, xy: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -228,7 +228,7 @@ def read_frames(path: Path) -> Frames:
 def check_arrays(
     path: Path, names: tuple[str, ...], arrays: Mapping[str, NDArray[np.float64]]
 ) -> None:
-    """Refuse arrays of a wrong shape, partly measured values and values not on earth.
+    """Refuse arrays with a wrong shape, a partly missing value or a value above ``FARTHEST_M``.
 
     Args:
         path: file that the arrays were read from.

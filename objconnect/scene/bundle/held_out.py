@@ -57,7 +57,7 @@ def refuse_held_out(scenes: Iterable[Scene], tracks: Mapping[str, HeldOut]) -> N
     """Refuse scenes with conditions, presets, lenses or seeds that a track holds out.
 
     Args:
-        scenes: scenes that a training would learn from or choose by.
+        scenes: scenes to train on or to select settings with.
         tracks: what each track holds out, by its name.
 
     Raises:

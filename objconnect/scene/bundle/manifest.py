@@ -58,7 +58,7 @@ FolderName = Annotated[str, AfterValidator(_folder)]
 
 
 class DeclaredChange(Record):
-    """How a session's objects differ from those of the scene's seed, by object id.
+    """How a session differs from the world that the scene's seed generates, by object id.
 
     An id denotes one box of ``objects.json``: an object that moves gets a new id.
 
@@ -82,7 +82,7 @@ class Session(Record):
         condition: season and light, for example "summer-noon".
         flight: kind of flight, for example "nadir".
         role: whether the frames build the map, are queries, or both.
-        change: how the objects differ from those of the scene's seed.
+        change: how the objects differ from the world that the scene's seed generates.
         readout_s: seconds between the readout of the top and the bottom row of an image; not zero
             for a rolling shutter. A pose then belongs to the middle row. During the readout the
             camera moves at constant velocity, the central difference of the frames' positions. Each
@@ -121,8 +121,8 @@ class Manifest(Record):
         georeference: absolute accuracy of the origin, as ``ingest`` measured or the user stated it;
             None if the file has no such key. See ``effective_georeference``.
         sessions: sessions by folder name.
-        sha256: digest of every data file of the scene, with its photographs, by relative path; the
-            folders ``pictures`` and ``site``, and results, have none.
+        sha256: digests of the data files of the scene, including photographs, by relative path. The
+            folders ``pictures`` and ``site`` and the results are not covered.
         pixels_sha256: digests of the decoded "image" and of each layer, by image name. They compare
             scenes that different library versions compressed.
     """
@@ -160,8 +160,8 @@ class Manifest(Record):
     def effective_georeference(self) -> Georeference | None:
         """Return the absolute accuracy of the scene; None if unknown.
 
-        A simulated world is exact. The accuracy of a world that is modelled on a real site is that
-        of the site's files, which is unknown.
+        A simulated world is exact. A world that is modelled on a real site has the accuracy of the
+        site's files, which is unknown.
         """
         if self.georeference is None and self.preset is not None and self.reference == "exact":
             return EXACT_GEOREFERENCE if self.config.get("site") is None else None

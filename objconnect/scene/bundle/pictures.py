@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 # Frames per session on the contact sheet.
 _FRAMES = 2
 _MARKERS = {"map": "o", "query": "^"}
-_FOOTPRINTS = {"building": "0.45", "tree": "#9fbf8f", "hedge": "#9fbf8f", "car": "#c05050"}
+_FOOTPRINT_COLOURS = {"building": "0.45", "tree": "#9fbf8f", "hedge": "#9fbf8f", "car": "#c05050"}
 
 
 def draw_pictures(scene: Scene) -> None:
@@ -93,7 +93,7 @@ def _flight_map(scene: Scene) -> Figure:
         ax.set_title(f"{for_figure(scene.name)}: flights over the map's {len(xyz)} points")
     else:
         for item in scene.objects.objects:
-            colour = _FOOTPRINTS.get(item.class_name, "0.7")
+            colour = _FOOTPRINT_COLOURS.get(item.class_name, "0.7")
             box = rectangle(item.centre[:2], item.size[:2], np.radians(item.yaw_deg))
             ax.add_patch(Polygon(box, facecolor=colour, edgecolor="none"))
         ax.set_title(f"{for_figure(scene.name)}: flights over the objects' footprints")

@@ -32,7 +32,7 @@ from objconnect.scene.maps.colmap_files import MODEL_FILES, RIG_FILES, read_mode
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 from objconnect.scene.storage.digests import sha256_of
 from objconnect.scene.storage.files import require_folder
-from objconnect.scene.storage.images import read_counts
+from objconnect.scene.storage.images import read_grey
 
 MANIFEST = "scene.json"
 COVISIBILITY = "covisibility.h5"
@@ -194,7 +194,7 @@ class Scene:
         if name not in frames.names:
             raise InputError(f"scene {self.path} has no photograph {name}")
         camera = frames.cameras[frames.names.index(name)]
-        counts = read_counts(counts_path(self.images_root, name), camera, bits=16)
+        counts = read_grey(counts_path(self.images_root, name), camera, bits=16)
         return record.kelvin(counts)
 
     def layers_of_map(
@@ -240,7 +240,7 @@ def finish_scene(path: Path, manifest: Manifest) -> Scene:
 
 
 def digests(path: Path) -> dict[str, str]:
-    """Return the SHA-256 of the files that the manifest covers, by path, not of pictures."""
+    """Return the SHA-256 of each file that the manifest covers, by path."""
     return {name: sha256_of(path / name) for name in _data_files(path)}
 
 

@@ -28,7 +28,8 @@ class AddedPoint(Record):
 
     Attributes:
         id: identifier of the point in COLMAP's files.
-        object: number of the object; ``add_to_map`` makes each point one object.
+        object: number of the object that the point lies on; ``add_to_map`` assigns a new number to
+            each point.
         confidence: 0..1, from the method that found the point.
     """
 

@@ -13,7 +13,7 @@ from pydantic import Field, FiniteFloat, model_validator
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.storage.atomic import atomic_write
-from objconnect.scene.storage.images import read_counts
+from objconnect.scene.storage.images import read_grey
 from objconnect.scene.storage.records import Record
 
 _ZERO_C: Final = 273.15
@@ -95,9 +95,9 @@ def check_thermal(root: Path, name: str, camera: Camera, record: Thermal) -> Non
         InputError: a picture is missing, damaged, of another size or depth than stated, or the two
             differ.
     """
-    counts = read_counts(counts_path(root, name), camera, bits=16)
+    counts = read_grey(counts_path(root, name), camera, bits=16)
     path = picture_path(root, name)
-    if not np.array_equal(read_counts(path, camera, bits=8), record.stretch(counts)):
+    if not np.array_equal(read_grey(path, camera, bits=8), record.stretch(counts)):
         raise InputError(
             f"{path} does not agree with {counts_path(root, name)}, stretched from "
             f"{record.low_c:g} to {record.high_c:g} degrees Celsius: render the scene again"

@@ -61,7 +61,7 @@ class _Photograph(NamedTuple):
 def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Path) -> None:
     """Write a scene's map and queries as slices 2 (urban), 9 (suburban) and 18 (park).
 
-    A photograph belongs to the slice of the surroundings of its camera. The poses of all queries
+    The surroundings of its camera determine the slice of a photograph. The poses of all queries
     are included, the SIFT databases of the real data set are not. See ``formats.Writer``.
 
     Raises:

@@ -40,7 +40,8 @@ def write_with_depth(
 ) -> None:
     """Write ``transforms.json``, and a depth map of each photograph; see ``formats.Writer``.
 
-    Depth maps are NumPy files, because those of a flight exceed the 65 m of a 16-bit picture.
+    Depth maps are NumPy files, because a 16-bit picture holds at most 65 m, less than many flights
+    need.
 
     Raises:
         InputError: a session has no depth, the sessions mix perspective and fisheye cameras, or a

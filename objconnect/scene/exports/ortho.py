@@ -37,8 +37,8 @@ SURFACE: Final = "dsm.tif"
 
 # Side of the tiles that are fused in memory, pixels.
 _TILE = 2048
-# A pixel's highest surface consists of the points at most this far (m), or one side of the pixel if
-# that is larger, below the highest point; lower points are walls.
+# The points of a pixel lie on its highest surface if they are at most this far (m) below its
+# highest point, or at most one side of the pixel if that is larger. Lower points are walls.
 _SAME_SURFACE_M = 0.3
 # Number of passes that fill pixels without data from their neighbours.
 _FILL_PASSES = 3
@@ -121,7 +121,7 @@ def _box(coordinates: Array) -> Box:
 
 
 def _grid(projection: Projection, boxes: Sequence[Box], pixel: float) -> Grid:
-    """Return the grid around all boxes; its edges are multiples of ``pixel``, its pixel's side."""
+    """Return the grid around all boxes; its edges are multiples of the pixel's side ``pixel``."""
     left = math.floor(min(box.left for box in boxes) / pixel)
     top = math.ceil(max(box.top for box in boxes) / pixel)
     width = math.ceil(max(box.right for box in boxes) / pixel) - left

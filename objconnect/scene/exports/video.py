@@ -70,7 +70,7 @@ def _rate(session: str, frames: Frames) -> float:
     """
     if len(frames) < 2:
         raise InputError(
-            f"session {session} has {len(frames)} photograph: name a session of at least two"
+            f"session {session} has {len(frames)} photograph: choose a session with at least two"
         )
     steps = np.diff(frames.time)
     if not np.isfinite(steps).all():

@@ -14,7 +14,7 @@ from objconnect.scene.storage.records import Record
 REFERENCE_ERROR: Final = "reference_error.json"
 """Name of the file in the folder of a flight."""
 
-# Recall at a threshold is stated if the error of the reference poses is at most this share of it.
+# Recall at a threshold is reported if the error of the reference poses is at most this share of it.
 _MAX_ERROR_SHARE: Final = 0.5
 
 
@@ -43,7 +43,7 @@ class ReferencePoseError(Record):
         return self.metres is not None and self.metres <= _MAX_ERROR_SHARE * threshold_m
 
     def text(self) -> str:
-        """Return the error, and what follows from it, in one line."""
+        """Return the error and the thresholds that it allows, in one line."""
         if self.metres is None:
             return "reference poses: their error is unknown, so no threshold can be judged"
         return (

@@ -91,7 +91,7 @@ class Projection:
         return str(self._crs.to_wkt())
 
     @property
-    def heights(self) -> str:
+    def height_reference(self) -> str:
         """Return the height reference: the name of the vertical system, or "ellipsoid"."""
         vertical = self._crs.sub_crs_list[1:]
         return str(vertical[0].name) if vertical else "ellipsoid"
@@ -161,9 +161,9 @@ class Projection:
         """Return why there is no exact conversion, and what to do."""
         if not self._crs.axis_info[2:]:
             return (
-                f"PROJ knows no conversion between {self.name} and WGS 84 but a ballpark one, "
-                "which ignores the change of datum: give the EPSG code of a system whose datum "
-                "PROJ knows, such as EPSG:25832"
+                f"PROJ has only a ballpark conversion between {self.name} and WGS 84, which "
+                "ignores the change of datum: give the EPSG code of a system whose datum PROJ "
+                "knows, such as EPSG:25832"
             )
         if grid := _missing_grid(pyproj, self._crs):
             return (
@@ -171,8 +171,8 @@ class Projection:
                 f"'projsync --file {grid}', or give the horizontal system alone"
             )
         return (
-            f"PROJ knows no conversion between heights in {self.name} and the ellipsoid but a "
-            "ballpark one: give the horizontal system alone"
+            f"PROJ has only a ballpark conversion between heights in {self.name} and the "
+            "ellipsoid: give the horizontal system alone"
         )
 
     def reaches(self, place: Geodetic) -> bool:

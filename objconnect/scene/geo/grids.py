@@ -79,7 +79,7 @@ class Grid:
         return self.pixel[0] / scale[0], self.pixel[1] / scale[1]
 
     @property
-    def longest_m(self) -> float:
+    def longer_side_m(self) -> float:
         """Return the length of the raster's longer side on the ground, metres."""
         return max(self.width * self.ground_pixel[0], self.height * self.ground_pixel[1])
 

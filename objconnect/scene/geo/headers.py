@@ -18,7 +18,7 @@ from objconnect.scene.geo.crs import Projection
 from objconnect.scene.geo.grids import Grid
 from objconnect.scene.geo.keys import unit_of_heights
 from objconnect.scene.quantities.bands import ColourBands, colour_bands
-from objconnect.scene.quantities.heights import NO_UNIT, BandToMetres, metres_of_band
+from objconnect.scene.quantities.heights import NO_UNIT, BandToMetres, band_to_metres
 
 Kind = Literal["orthophoto", "surface model", "class mask"]
 
@@ -169,7 +169,7 @@ def _height_layout(source: Any, path: Path, kind: Kind, projection: Projection) 
         raise InputError(f"{kind} {path} has values of type {source.dtypes[k]}, not heights")
     if names[k] == "palette":
         raise InputError(f"{kind} {path} has the colours of a palette, not heights")
-    metres = metres_of_band(
+    metres = band_to_metres(
         source.units[k],
         source.scales[k],
         source.offsets[k],
@@ -210,8 +210,8 @@ def check_undulation(projection: Projection, path: Path, undulation: float) -> N
     """Refuse a geoid undulation for a surface model whose system defines heights."""
     if undulation and projection.height_unit_m is not None:
         raise InputError(
-            f"{path} has heights above {projection.heights}, which are converted automatically: "
-            "leave --undulation out"
+            f"{path} has heights above {projection.height_reference}, which are converted "
+            "automatically: leave --undulation out"
         )
 
 

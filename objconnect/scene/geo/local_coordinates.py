@@ -130,8 +130,8 @@ def world_pose(projection: Projection, origin: Geodetic, cam_from_grid: Pose) ->
     worst = float(stretch[np.abs(stretch - 1).argmax()])
     if abs(worst - 1) > MOST_STRETCH:
         raise InputError(
-            f"at this position a metre is {worst:.4f} m in {projection.name}: check the position, "
-            "and give poses in a survey grid, such as UTM"
+            f"at this position a metre on the ground is {worst:.4f} m in {projection.name}: check "
+            "the position, and give poses in a survey grid, such as UTM"
         )
     rotation = cam_from_grid.rotation @ torch.from_numpy(left @ right).T
     return Pose(rotation, -(rotation @ torch.from_numpy(world[0])))

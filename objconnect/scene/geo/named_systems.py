@@ -94,7 +94,7 @@ def _height_unit(
             raise InputError(
                 f"{where}: {projection.name} has heights of its own: leave +{stated[0][0]} out"
             )
-        return known(1.0, projection.heights)
+        return known(1.0, projection.height_reference)
     if factors:
         return known(factors.pop(), f"+{stated[0][0]}")
     units = projection.horizontal_units

@@ -131,7 +131,8 @@ class Raster:
 
         Args:
             box: rectangle in the raster's coordinates. The patch covers its part inside the raster
-                and a pixel more; outside the raster it is one pixel without data.
+                and one more pixel on each side. If the box lies outside the raster, the patch is
+                one pixel without data.
             pixel: required size of a pixel on the ground, metres. If the file's pixels are at most
                 half as large, each pixel of the patch is the mean of several.
 

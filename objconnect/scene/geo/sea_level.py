@@ -9,7 +9,8 @@ from objconnect.scene.storage.exif import Exif
 def convert_to_ellipsoid(exif: Exif, undulation_m: float | None = None) -> Exif:
     """Return metadata with the altitude converted from sea level to the ellipsoid.
 
-    Without an undulation the altitude stays above sea level, with its doubt.
+    If no undulation is known, the metadata are returned unchanged: the altitude is above sea level,
+    and ``doubts`` says so.
 
     Args:
         exif: metadata of the photograph.

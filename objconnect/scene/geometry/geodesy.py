@@ -37,7 +37,7 @@ _CENTIMETRE_DEG = 1e-7
 
 
 def is_on_earth(place: Geodetic) -> bool:
-    """Return whether coordinates are in range for an aircraft; NaN is not."""
+    """Return whether coordinates are in range for an aircraft; False for NaN."""
     lat, lon, alt = place
     return abs(lat) <= 90 and abs(lon) <= 180 and abs(alt) <= _MAX_ALTITUDE_M
 

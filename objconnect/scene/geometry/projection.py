@@ -16,7 +16,8 @@ from torch.nn.functional import pad
 
 # Points with a smaller z (in units of the camera frame) are treated as behind the camera.
 MIN_DEPTH: Final = 1e-6
-# So are points with a larger |x/z| or |y/z|, because its powers overflow single precision.
+# Points with a larger |x/z| or |y/z| are treated as invalid too, because its powers overflow single
+# precision.
 MAX_SLOPE: Final = 1e4
 _NEWTON_STEPS = 30
 # Number of coefficients of a perspective model with polynomial, not rational, distortion.

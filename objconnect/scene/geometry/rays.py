@@ -39,7 +39,7 @@ class Rays:
         return float(np.degrees(np.arccos(cosines.min())))
 
     def consensus(self, max_error_deg: float, min_angle_deg: float) -> NDArray[np.int64]:
-        """Return the rows of the largest set of reference images that agree on one camera.
+        """Return the rows of the largest set of reference images that agree on one camera pose.
 
         Each pair of rays proposes its intersection and the attitude of its first ray. A reference
         image agrees if its ray passes near the intersection and its attitude is near the proposed

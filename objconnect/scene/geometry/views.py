@@ -1,10 +1,10 @@
 """Views: photographs rotated north up, resized to one scale, or levelled.
 
-Networks match such views better, because photographs of a survey have any height and any heading,
-opposite ones on neighbouring lines. Rotation and scale come from the poses of the map, or from the
-prior of a query, which is exact to a few degrees and metres. A rotated and resized photograph
-equals one of another camera with a rotated lens. A photograph with a larger tilt than the map's is
-levelled: warped to a camera of less tilt at the same position.
+Networks match such views better than the photographs, whose heights and headings differ within a
+survey; neighbouring lines have opposite headings. Rotation and scale come from the poses of the
+map, or from the prior of a query, which is exact to a few degrees and metres. A rotated and resized
+photograph equals one of another camera with a rotated lens. A photograph with a larger tilt than
+the map's is levelled: warped to a camera of less tilt at the same position.
 """
 
 from __future__ import annotations
@@ -136,9 +136,9 @@ class WarpedImage:
     size: NDArray[np.int64]
 
     def shows(self, xy: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return whether pixels of the view (..., 2) lie in the photograph, 8 px from its edge.
+        """Return whether pixels of the view (..., 2) lie in the photograph, away from its edge.
 
-        The 8 pixels are those of the view, ``MARGIN``.
+        The distance from the edge is at least ``MARGIN``, in pixels of the view.
         """
         source, margin = self.in_photograph(xy.reshape(-1, 2)), MARGIN / self.scale
         (x, y), (right, bottom) = source.T, self.size - margin
@@ -221,7 +221,7 @@ def warp_image(
     view = Camera(model, int(view_size[0]), int(view_size[1]), (*(float(p) for p in params), *lens))
     # The inverse of a rotation after a scaling, written out: starting LAPACK's threads takes 2 ms.
     inverse = rotation[:2, :2].T / per_axis[:, None]
-    photograph_from_view = partial(_affine_back, inverse, affine[:, 2])
+    photograph_from_view = partial(_undo_affine, inverse, affine[:, 2])
     axis_scale = float(np.linalg.norm(affine[:, 0]))
     return WarpedImage(
         resample(rgb, affine, view_size), view, rotation, photograph_from_view, axis_scale, size
@@ -286,7 +286,7 @@ def _add_corner(
     return in_photograph(xy + corner)
 
 
-def _affine_back(
+def _undo_affine(
     linear: NDArray[np.float64], shift: NDArray[np.float64], xy: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     # Written out, because a matrix product of this size would start the threads of BLAS.

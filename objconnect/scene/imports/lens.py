@@ -36,7 +36,7 @@ _ROUNDS = 20
 def require_inside(
     principal: tuple[float, float], size: tuple[int, int], names: tuple[str, str]
 ) -> None:
-    """Refuse a principal point outside the picture: its origin or unit is another one.
+    """Refuse a principal point outside the picture, which indicates another origin or unit.
 
     Args:
         principal: (cx, cy), COLMAP pixels.

@@ -34,7 +34,7 @@ def parse_numbers(
     """Return the numbers of an element's text, (count,).
 
     Raises:
-        InputError: their number differs, or one is not finite.
+        InputError: there are not ``count`` numbers, or one is not finite.
     """
     text = None if element is None else element.text
     try:
@@ -106,7 +106,7 @@ def _size(sensor: ET.Element, calibration: ET.Element) -> tuple[int, int]:
             "each other"
         )
     if max(sizes[0]) > LARGEST_SIDE:
-        raise InputError(f"no picture is {sizes[0][0]} x {sizes[0][1]} pixels")
+        raise InputError(f"its resolution {sizes[0][0]} x {sizes[0][1]} is too large for a picture")
     return sizes[0]
 
 

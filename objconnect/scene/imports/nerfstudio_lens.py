@@ -36,8 +36,8 @@ _UNSUPPORTED_KEYS: Final = re.compile(
     r"camera_convention|coordinate_system|transform_matrix_(start|end)|distortion.*",
     re.IGNORECASE,
 )
-# A focal length is not in pixels if it is below this share of the longer side in pixels, and a
-# principal point is not if its coordinates are at most 1.
+# A focal length below this share of the longer side is not in pixels. A principal point whose
+# coordinates are at most 1 is not in pixels either.
 _MIN_FOCAL_SHARE, _MAX_RELATIVE = 0.05, 1.0
 
 
@@ -124,7 +124,7 @@ class Intrinsics(BaseModel):
                 other = ", ".join(f"{f:.1f}" for f in focal_lengths(angle, side, fisheye))
                 raise InputError(
                     f"fl_{axis} {focal:g} and camera_angle_{axis} {angle:g} contradict each other: "
-                    f"the angle of {side} pixels is that of a focal length of {other or 'none'}"
+                    f"across {side} pixels, the angle gives a focal length of {other or 'none'}"
                 )
         return fl_x, fl_y
 

@@ -251,8 +251,8 @@ def _check_without_coords(path: Path, shots: Shots, stated: CoordinateFrame | No
     frame = _find_frame(path, shots, convergence(shots.origin, zone), stated, grid)
     if frame.value == "projected":
         raise InputError(
-            f"{path}: its poses are in a projected system by {frame.source}, and its offset is "
-            f"unknown: {_REMEDY}"
+            f"{path}: its poses are in a projected system according to {frame.source}, and its "
+            f"offset is unknown: {_REMEDY}"
         )
     return shots
 
@@ -315,7 +315,8 @@ def _require_agreement(
         if other != frame:
             remedy = f"leave out {_OPTION}" if source == _OPTION else "give OpenSfM's own file"
             raise InputError(
-                f"{path}: its poses are {frame} by {first}, but {other} by {source}: {remedy}"
+                f"{path}: its poses are {frame} according to {first}, but {other} according to "
+                f"{source}: {remedy}"
             )
     return known(frame, first)
 

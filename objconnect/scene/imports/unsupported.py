@@ -1,6 +1,6 @@
 """Detection of unsupported pose files by their contents, for a helpful error message.
 
-Their suffixes are those of supported formats, so the contents decide.
+Supported formats have the same suffixes, so the contents are compared.
 """
 
 from __future__ import annotations

@@ -114,7 +114,7 @@ def write_features(path: Path, features: Mapping[str, Features], inputs_digest: 
 class FeatureFile(Mapping[str, Features]):
     """A mapping from image name to features that reads from the file on each access.
 
-    It caches nothing. The file stays open, and may be removed while it is. Threads may share the
+    It caches nothing. The file stays open and may be removed meanwhile. Threads may share the
     mapping.
 
     Attributes:

@@ -7,8 +7,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-# Rows compared at a time. A matrix of all similarities takes 144 MB for 6000 descriptors, and its
-# allocation a third of the time.
+# Rows compared at a time. A matrix of all similarities takes 144 MB for 6000 descriptors, and
+# allocating it takes a third of the time.
 _BLOCK_ROWS = 512
 
 

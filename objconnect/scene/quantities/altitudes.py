@@ -68,7 +68,7 @@ def _read_exif(fields: Mapping[str, object], prefix: str) -> Reading[float]:
     reference = fields.get("GPSAltitudeRef")
     if reference is None:
         # 0 is the default of the standard.
-        return known(metres, source, f"{source}Ref is missing: taken as above, EXIF's default")
+        return known(metres, source, f"{source}Ref is missing: taken as 0 (above), EXIF's default")
     number = _reference(reference)
     if number is None:
         return unknown(source, f"{source}Ref {plain_text(reference)!r} is not 0 to 3")

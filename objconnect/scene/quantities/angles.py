@@ -1,7 +1,7 @@
 """Latitudes and longitudes in the notations of EXIF and XMP.
 
 EXIF has unsigned degrees, minutes and seconds, and the hemisphere in a separate tag. XMP has
-text: ``46,50.556N`` in the namespace ``exif``, signed decimal degrees in those of drones.
+text: ``46,50.556N`` in the namespace ``exif``, signed decimal degrees in drone makers' namespaces.
 """
 
 from __future__ import annotations
@@ -166,7 +166,7 @@ def _find_fault(parts: Sequence[float]) -> str:
         if not math.isfinite(value):
             return f"has {name} of 0/0"
     if min(values) < 0 or math.copysign(1, min(values)) < 0:
-        return "has a sign, which in EXIF is in the field of its hemisphere"
+        return "has a sign, but EXIF states the hemisphere in a separate field"
     for name, value in zip(_PARTS[1:], values[1:], strict=False):
         if value > 60:  # programs round 59.99999 to 60
             return f"has {value:g} {name}"

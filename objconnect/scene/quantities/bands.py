@@ -1,4 +1,4 @@
-"""The bands that hold the colours of a raster, by the metadata of its file."""
+"""Detection of the bands that hold the colours of a raster, from its metadata."""
 
 from __future__ import annotations
 

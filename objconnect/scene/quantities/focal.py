@@ -1,9 +1,9 @@
 """The focal length of a photograph from the fields of EXIF and XMP.
 
-Cameras state it in millimetres of the sensor, as a 35 mm equivalent, or in pixels. Programs that
-resize, crop or rotate a photograph update only some of the fields. Each field is therefore
-a separate source. If sources contradict each other, or no source confirms that they refer to this
-image size, the focal length is unknown and the stated values are candidates.
+Cameras state it in millimetres with the sensor's pixel pitch, as a 35 mm equivalent, or in pixels.
+Programs that resize, crop or rotate a photograph update only some of the fields. Each field is
+therefore a separate source. If sources contradict each other, or no source confirms that they refer
+to this image size, the focal length is unknown and the stated values are candidates.
 
 Focal lengths are ratios f / max(w, h) unless a unit is stated.
 """
@@ -218,7 +218,7 @@ def _focal_plane(detail: Mapping[str, object], size: Size) -> tuple[float, ...]:
         sides = (width,)
     else:  # upright, and it is unknown whether it was rotated
         sides = (width, width * size[1] / size[0])
-    # If the two resolutions differ, one of them has another size or unit.
+    # If the two resolutions differ, one of them refers to another image size or unit.
     differ = y_resolution > 0 and not _is_near(x_resolution, y_resolution, _MAX_PIXEL_DIFFERENCE)
     resolutions = (x_resolution, y_resolution) if differ else (x_resolution,)
     values = [

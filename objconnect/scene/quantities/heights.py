@@ -30,7 +30,7 @@ class BandToMetres:
         return (self.factor, self.offset) == (1.0, 0.0)
 
 
-def metres_of_band(
+def band_to_metres(
     unit: str | None,
     scale: float,
     offset: float,

@@ -21,7 +21,8 @@ _BINS = round(HIGHEST_M - LOWEST_M)
 _STEP_M = 10
 # Such a constant above all other heights is at least this far above them, metres.
 _CLIFF_M = 100
-# Smallest share of heights of 0, and their distance below all others (m), that is reported.
+# Heights of 0 are reported if at least this share of the pixels has them. If they lie below all
+# others, they are reported only from this distance (m) on.
 _REMARK_SHARE, _REMARK_M = 0.01, 1
 # Heights of 0 between others are reported if the number of pixels within a metre of 0, divided by
 # that of pixels of exactly 0, is at most this. In rasters with steps of 0.1 m, heights of exactly 0
@@ -32,9 +33,9 @@ _MIN_PIXELS, _MIN_SHARE = 16, 1e-4
 # Largest number of pixels within ``_STEP_M`` above a low constant, or within ``_CLIFF_M`` below a
 # high one, as a share of the constant's pixels. Resampling leaves a few there.
 _MAX_BETWEEN_SHARE = 0.1
-_MOST_HOLES = 4
-# A raster is a synthetic surface if its heights are constants in fewer steps of a metre than this,
-# or in a smaller share of the steps of their range.
+_MAX_HOLES = 4
+# A raster is a synthetic surface if no step of a metre holds two heights, and fewer steps than
+# this, or a smaller share of the steps of its range, are occupied.
 _MIN_STEPS, _MIN_STEP_SHARE = 5, 0.5
 # Heights next to missing data that are this far outside all others (m) come from resampling.
 _BELOW_M, _ABOVE_M = 10.0, 100.0
@@ -106,7 +107,7 @@ def find_holes(histogram: Histogram) -> list[Hole]:
     counts = histogram.counts.copy()
     total = int(counts.sum())
     found: list[Hole] = []
-    while len(found) < _MOST_HOLES:
+    while len(found) < _MAX_HOLES:
         steps = np.flatnonzero(counts)
         if not steps.size:
             break

@@ -8,8 +8,8 @@ from typing import Final
 from objconnect.scene.quantities.reading import Reading, known, unknown
 
 
-class Above(Enum):
-    """The reference that a height is above."""
+class HeightReference(Enum):
+    """What a height is measured from."""
 
     SEA = "mean sea level"  # the geoid, not the ellipsoid
     HOME = "home"  # the home position of the aircraft
@@ -18,35 +18,35 @@ class Above(Enum):
 
 # MAV_FRAME: each reference has a variant for integer coordinates.
 _FRAMES: Final = {
-    0: Above.SEA,
-    5: Above.SEA,
-    3: Above.HOME,
-    6: Above.HOME,
-    10: Above.GROUND,
-    11: Above.GROUND,
+    0: HeightReference.SEA,
+    5: HeightReference.SEA,
+    3: HeightReference.HOME,
+    6: HeightReference.HOME,
+    10: HeightReference.GROUND,
+    11: HeightReference.GROUND,
 }
 # QGroundControl's AltitudeMode and DistanceMode. 0 means several modes and 5 none.
 _RELATIVE, _ABSOLUTE, _CALCULATED, _TERRAIN = 1, 2, 3, 4
 # The reference of the height that is sent to the aircraft, and of the one that the user chose.
 _SENT_AS: Final = {
-    _RELATIVE: Above.HOME,
-    _ABSOLUTE: Above.SEA,
-    _CALCULATED: Above.SEA,
-    _TERRAIN: Above.GROUND,
+    _RELATIVE: HeightReference.HOME,
+    _ABSOLUTE: HeightReference.SEA,
+    _CALCULATED: HeightReference.SEA,
+    _TERRAIN: HeightReference.GROUND,
 }
-_MEANT_AS: Final = _SENT_AS | {_CALCULATED: Above.GROUND}
+_MEANT_AS: Final = _SENT_AS | {_CALCULATED: HeightReference.GROUND}
 
 
-def above_of_frame(frame: int | None) -> Reading[Above]:
+def reference_of_frame(frame: int | None) -> Reading[HeightReference]:
     """Return the height reference of a MAV_FRAME; unknown for local and mission frames."""
-    above = None if frame is None else _FRAMES.get(frame)
-    if above is None:
+    reference = None if frame is None else _FRAMES.get(frame)
+    if reference is None:
         why = "frame is missing" if frame is None else f"MAV_FRAME {frame} states no height"
         return unknown("the reference of its height", why)
-    return known(above, "MAV_FRAME")
+    return known(reference, "MAV_FRAME")
 
 
-def check_mode(mode: float | None, stated: Above) -> str | None:
+def check_mode(mode: float | None, stated: HeightReference) -> str | None:
     """Return how the AltitudeMode of an item contradicts its frame; None if it does not.
 
     The mode "calculated above terrain" is sent to the aircraft as a height above the sea.
@@ -65,9 +65,9 @@ def check_mode(mode: float | None, stated: Above) -> str | None:
     return None
 
 
-def above_of_survey(
+def reference_of_survey(
     mode: float | None, relative: bool | None, follows_terrain: bool | None
-) -> Reading[Above]:
+) -> Reading[HeightReference]:
     """Return the height reference of a survey's DistanceToSurface; unknown if fields disagree.
 
     Args:
@@ -78,8 +78,8 @@ def above_of_survey(
     newer = None if mode is None else _MEANT_AS.get(int(mode)) if mode == int(mode) else None
     if mode is not None and newer is None:
         return unknown("DistanceMode", f"DistanceMode is {mode:g}, which has no reference")
-    older = None if relative is None else Above.HOME if relative else Above.SEA
-    older = Above.GROUND if follows_terrain else older
+    older = None if relative is None else HeightReference.HOME if relative else HeightReference.SEA
+    older = HeightReference.GROUND if follows_terrain else older
     if newer is not None and older is not None and newer is not older:
         return unknown("DistanceMode", "DistanceMode contradicts DistanceToSurfaceRelative")
     if newer is not None:

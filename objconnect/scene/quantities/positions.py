@@ -30,8 +30,8 @@ _XMP: Final = (
     ("Latitude", ("Longitude",)),
     ("GPSLatitude", ("GPSLongitude",)),
 )
-# The latitude of the only pair of fields whose values have a letter instead of a sign.
-_LETTERED: Final = "GPSLatitude"
+# Latitude field of the pair whose values have a hemisphere letter instead of a sign.
+_FIELD_WITH_LETTER: Final = "GPSLatitude"
 # Datums that lie within a few metres of each other.
 _DATUMS: Final = (
     *("wgs84", "wgs1984", "epsg4326", "itrf", "etrs89", "gda94", "gda2020"),
@@ -77,7 +77,7 @@ def read_position(gps: Mapping[str, object], xmp: Mapping[str, str]) -> Reading[
         return unknown(
             from_exif.source, *from_exif.doubts, _contradiction(from_xmp.source, distance)
         )
-    note = f"the position is that of {from_xmp.source}"
+    note = f"the position is taken from {from_xmp.source}"
     return known(from_xmp.value, from_xmp.source, *from_exif.doubts, note)
 
 
@@ -128,7 +128,7 @@ def _read_pair(xmp: Mapping[str, str], latitude: str, longitude: str) -> Reading
     values: list[float] = []
     doubts: list[str] = []
     for name, axis in ((latitude, LATITUDE), (longitude, LONGITUDE)):
-        read = _read_field(xmp, name, axis, signed=latitude != _LETTERED)
+        read = _read_field(xmp, name, axis, signed=latitude != _FIELD_WITH_LETTER)
         doubts += read.doubts
         values += [] if read.value is None else [read.value]
     if len(values) < 2:

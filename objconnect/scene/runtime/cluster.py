@@ -223,7 +223,9 @@ def _require_answer(address: str) -> None:
         raise InputError(f"no Ray cluster answers at {address}: {error}") from None
 
 
-def split_work(items: Sequence[Item], cores: int, least: int, most: int) -> list[Sequence[Item]]:
+def split_work(
+    items: Sequence[Item], cores: int, min_size: int, max_size: int
+) -> list[Sequence[Item]]:
     """Divide items into units, large ones first, so that all workers finish at about the same time.
 
     Each round has one unit of equal size per core, together half of the remaining items; the last
@@ -232,18 +234,18 @@ def split_work(items: Sequence[Item], cores: int, least: int, most: int) -> list
     Args:
         items: items in order.
         cores: number of workers.
-        least: smallest number of items per unit, if there are enough for every core.
-        most: largest number of items per unit.
+        min_size: smallest number of items per unit, if there are enough for every core.
+        max_size: largest number of items per unit.
 
     Examples:
-        >>> [len(unit) for unit in split_work(range(20), cores=2, least=2, most=100)]
+        >>> [len(unit) for unit in split_work(range(20), cores=2, min_size=2, max_size=100)]
         [5, 5, 3, 3, 2, 2]
     """
     units: list[Sequence[Item]] = []
     start = 0
     while start < len(items):
         each = math.ceil((len(items) - start) / cores)
-        size = min(most, each if each <= 2 * least else math.ceil(each / 2))
+        size = min(max_size, each if each <= 2 * min_size else math.ceil(each / 2))
         end = min(len(items), start + cores * size)
         units += [items[first : min(end, first + size)] for first in range(start, end, size)]
         start = end
@@ -287,6 +289,6 @@ def _describe_difference(wanted: dict[str, str]) -> str:
     local = _versions()
     package = next(p for p in _NUMERIC_PACKAGES if local.get(p) != wanted.get(p))
     return (
-        f"node {os.uname().nodename} has {package} {local.get(package, 'not')} and this machine "
-        f"{wanted.get(package, 'not')}: install the same on every node"
+        f"node {os.uname().nodename} has {package} {local.get(package, '(none)')} and this "
+        f"machine {wanted.get(package, '(none)')}: install the same version on every node"
     )

@@ -17,8 +17,8 @@
 - ``video``, ``subtitles``: video files and their subtitles.
 - ``names``: quoting of image names in text files.
 - ``tables``: CSV files with errors that name file and line.
-- ``listing``: the files of a folder that belong to the user.
-- ``provenance``: marks of pictures that this program drew.
+- ``listing``: listing of input files, without hidden and system files.
+- ``provenance``: metadata that marks images written by this program.
 - ``records``: the base class of JSON records.
 - ``answers``: records of poses in results files and journals.
 - ``lru_cache``: a cache bounded in bytes.

@@ -17,7 +17,7 @@ from objconnect.scene.storage.packed import XZ_SUFFIX, unpack
 
 # Longest file name that every common file system allows (bytes).
 _MAX_NAME_BYTES = 255
-# Longest text that is read, because it is read whole (bytes).
+# Largest text file that is read (bytes), because it is read into memory whole.
 _LONGEST_TEXT = 1 << 30
 
 
@@ -60,7 +60,7 @@ def require_folder(path: Path, what: str) -> None:
 
 
 def require_distinct(paths: Iterable[Path]) -> None:
-    """Refuse files or folders of which one is given twice, even through a symbolic link.
+    """Refuse a file or folder that is given twice, even through a symbolic link.
 
     Raises:
         InputError: a path is given twice.
@@ -140,5 +140,5 @@ def require_disk_space(path: Path, needed: int) -> None:
     if free < needed:
         raise WriteError(
             f"cannot write {path}: the disk has {free / 1e6:.0f} MB left and {needed / 1e6:.0f} MB "
-            "are needed: free some and run again"
+            "are needed: free some space and run again"
         )

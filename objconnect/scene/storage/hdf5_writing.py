@@ -70,7 +70,7 @@ class _SafeFile(io.RawIOBase):
         if self._error is not None:
             reason = self._error.strerror or str(self._error)
             if self._error.errno == errno.ENOSPC:
-                reason = "the disk is full: free some and run again"
+                reason = "the disk is full: free some space and run again"
             raise WriteError(f"cannot write {self._shown_path}: {reason}") from None
 
     def readable(self) -> bool:

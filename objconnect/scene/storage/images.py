@@ -60,7 +60,7 @@ def read_rgb(path: Path, camera: Camera | None = None) -> NDArray[np.uint8]:
     return pixels
 
 
-def read_counts(path: Path, camera: Camera, bits: int) -> NDArray[Any]:
+def read_grey(path: Path, camera: Camera, bits: int) -> NDArray[Any]:
     """Read a grey image as stored, (H, W) uint8 or uint16.
 
     Args:

@@ -32,7 +32,7 @@ def make_folder_in_use(root: Path) -> tuple[Path, FileLock]:
         try:
             lock.acquire()
         except FileNotFoundError:
-            # Another process took the folder without a mark for abandoned, and removed it.
+            # Another process removed the folder as abandoned, because it had no mark yet.
             continue
         except OSError:
             shutil.rmtree(folder, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""The files of a folder that belong to the user."""
+"""Listing of input files, without hidden and system files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _LEFT_BEHIND: Final = frozenset({"thumbs.db", "desktop.ini", "__macosx"})
 
 
 def is_stray(name: str) -> bool:
-    """Return whether a file or folder is not the user's: hidden, or made by a file manager.
+    """Return whether a file or folder of this name is hidden or made by a file manager.
 
     Examples are ``.DS_Store``, ``._a.jpg`` and ``Thumbs.db``.
     """

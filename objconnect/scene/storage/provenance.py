@@ -1,4 +1,7 @@
-"""Marks of pictures that this program drew, for ``objconnect.scene.storage.outputs.OutputFile``."""
+"""Metadata that marks images written by this program.
+
+``objconnect.scene.storage.outputs.OutputFile`` recognizes files by these marks.
+"""
 
 from __future__ import annotations
 

@@ -134,7 +134,7 @@ def decode_frames(path: Path, rate_hz: float | None = None) -> Iterator[VideoFra
         stated = float(stream.duration * stream.time_base) if stream.duration else 0.0
         if stated - seconds > _CUT_SHORT_S + 1 / _rate(stream):
             log.warning(
-                "%s ends after %.1f of %.1f s: it is cut short, and the frames before are used",
+                "%s ends after %.1f of %.1f s: it is cut short and is used up to there",
                 path,
                 seconds,
                 stated,
@@ -290,7 +290,7 @@ def _decode(container: Any, stream: Any, path: Path) -> Iterator[Any]:
         except (av.error.FFmpegError, OSError, ValueError, MemoryError) as error:
             if not count:
                 raise InputError(f"{path} cannot be decoded: {_reason(error)}") from None
-            log.warning("%s is damaged after %d frames: those before are used", path, count)
+            log.warning("%s is damaged after %d frames: only these frames are used", path, count)
             return
         count += 1
         yield frame

@@ -80,8 +80,8 @@ class DroneXmp:
 def parse_xmp(packets: bytes | Sequence[bytes], size: tuple[int, int]) -> DroneXmp:
     """Return the fields of XMP packets; a field is an attribute or an element.
 
-    A field with several values is invalid. A damaged packet is read up to the damage, and up to a
-    document type, which XMP does not have: no entity is ever expanded.
+    A field with several values is invalid. Reading stops at damage and at a document type
+    declaration, which XMP does not have, so that no declared entity is expanded.
 
     Args:
         packets: one or several packets, in an encoding that XML declares.
@@ -123,7 +123,7 @@ class _Fields:
 
     def __init__(self, texts: dict[str, str], foreign: set[str]) -> None:
         self.texts, self.foreign = texts, foreign
-        self._spaces: dict[str, str] = {}
+        self._namespaces: dict[str, str] = {}
         self._text: list[str] = []
         self._other_depth = 0  # levels of nested elements inside one of ``_OTHER_PICTURES``
 
@@ -143,7 +143,7 @@ class _Fields:
         self._other_depth += self._other_depth > 0 or _OTHER_PICTURES.fullmatch(element) is not None
         for name, value in attributes.items():
             if name.startswith("xmlns:"):
-                self._spaces[name.partition(":")[2]] = value
+                self._namespaces[name.partition(":")[2]] = value
         for name, value in attributes.items():
             self._add(name, value)
 
@@ -159,7 +159,7 @@ class _Fields:
         if self._other_depth:
             return
         if _ATTITUDE.fullmatch(local) and not _DJI_NAMESPACE.search(
-            f"{prefix}:{self._spaces.get(prefix, '')}"
+            f"{prefix}:{self._namespaces.get(prefix, '')}"
         ):
             self.foreign.add(f"{prefix}:{local}")
             return

@@ -157,7 +157,7 @@ def test_real_flights_have_no_fault(
     name: str, flights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Half the photographs are matched, two runs of neighbours."""
-    monkeypatch.setattr("benchmark.auditing.command._MATCHED", 16)
+    monkeypatch.setattr("benchmark.auditing.command._MAX_MATCHED", 16)
     for found in audit(flights / name, out=tmp_path / "page.html"):
         assert found.ok, found.text()
     assert "<title>ObjConnect audit</title>" in (tmp_path / "page.html").read_text()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmark.datasets.courses import SAME_M, find_courses
+from benchmark.datasets.courses import SAME_COURSE_M, find_courses
 from benchmark.datasets.open import open_datasets
 from benchmark.tracks.courses import track_courses
 from benchmark.tracks.description import TRACKS_FOLDER, load_track
@@ -26,7 +26,7 @@ def test_flights_along_one_path_are_on_one_course() -> None:
         "random": fly(3),
         "winter": course + wind,
         "higher": course + np.array([0, 0, 40]),
-        "aside": course + np.array([SAME_M + 0.1, 0, 0]),
+        "aside": course + np.array([SAME_COURSE_M + 0.1, 0, 0]),
         "fewer": course[:-1],
     }
     found = find_courses(flights)

@@ -10,7 +10,7 @@ import torch
 from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.open import open_datasets
 from benchmark.evaluation.evaluate import evaluate
-from benchmark.evaluation.starts import move_prior, parse_start, position_prior, tilt_prior
+from benchmark.evaluation.starts import gravity_prior, move_prior, parse_start, position_prior
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.pose import Pose
 from tests.benchmark.made_data import MAP_NAMES, FakeLocalizer, pose_at
@@ -77,7 +77,7 @@ def test_gravity_has_the_stated_error_and_no_heading_or_position() -> None:
     reference, down = pose_at(3), torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64)
     headings = set()
     for name in ("a.jpg", "b.jpg", "c.jpg"):
-        prior = tilt_prior(reference, name, 3.0)
+        prior = gravity_prior(reference, name, 3.0)
         assert prior.cam_from_world_rotation is not None
         told = torch.from_numpy(prior.cam_from_world_rotation) @ down
         true = reference.rotation @ down

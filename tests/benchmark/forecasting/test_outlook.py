@@ -99,7 +99,7 @@ def test_the_report_reads_itself() -> None:
     made = report()
     assert Forecast.model_validate_json(made.model_dump_json()) == made
     text = made.text()
-    assert "snow-dusk: too few fixes to fly by" in text
+    assert "snow-dusk: too few fixes to navigate by" in text
     assert "photograph waypoints 3 to 4" in text
 
 

@@ -39,7 +39,7 @@ def test_the_verdicts_stand_first_and_choose_the_season(shown: tuple[Browser, Pa
     browser.open(path)
     summer, snow = browser.texts(".verdicts button")
     assert "summer-noon" in summer and "Fixes all along" in summer
-    assert "snow-dusk" in snow and "Too few fixes to fly by" in snow
+    assert "snow-dusk" in snow and "Too few fixes to navigate by" in snow
     assert browser.texts("#weak tbody tr") == []
     browser.click("[data-season=snow-dusk]")
     (weak,) = browser.texts("#weak tbody tr")

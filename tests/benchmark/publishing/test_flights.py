@@ -114,7 +114,7 @@ def test_a_prior_that_no_row_can_hold_is_refused(tmp_path: Path) -> None:
     flight = write_flight(tmp_path / "meadow")
     rows = (flight / "gps.csv").read_text().splitlines(keepends=True)
     (flight / "gps.csv").write_text("".join(row for row in rows if ",map," not in row))
-    with pytest.raises(InputError, match=r"the prior of \S+ cannot be published: state sigmas"):
+    with pytest.raises(InputError, match=r"the prior of \S+ cannot be published: give sigmas"):
         publish([flight], tmp_path / "out", release=STATED)
     assert not (tmp_path / "out").exists()
 

@@ -216,7 +216,7 @@ def test_changed_file_is_named(scene: Path, tmp_path: Path) -> None:
     stored = json.loads(file.read_text())
     stored["summary"]["failed"] = 0
     file.write_text(json.dumps(stored))
-    with pytest.raises(InputError, match=r"sift\.json: summary\.failed does not follow"):
+    with pytest.raises(InputError, match=r"sift\.json: summary\.failed does not match"):
         leaderboard([tmp_path / "out"])
 
 

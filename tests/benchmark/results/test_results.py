@@ -71,7 +71,7 @@ def test_intervals_of_earlier_files_are_replaced(results: Results, tmp_path: Pat
     assert results.summary.recall["5m_10deg"].low is not None
     stored["summary"]["recall"]["5m_10deg"]["value"] += 1
     path.write_text(json.dumps(stored))
-    with pytest.raises(InputError, match="summary.recall.5m_10deg.value does not follow"):
+    with pytest.raises(InputError, match="summary.recall.5m_10deg.value does not match"):
         load(path)
 
 

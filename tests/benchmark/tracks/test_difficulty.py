@@ -17,7 +17,7 @@ from benchmark.tracks.difficulty import (
     View,
     compare,
     days_between,
-    level_depth,
+    ground_plane_depth,
     measure,
     write_queries,
 )
@@ -86,11 +86,11 @@ def test_two_views_of_one_point_have_a_known_scale_and_angle(
 
 def test_level_ground_lies_at_its_height() -> None:
     view = narrow((3, -30, 40), 35.0)
-    depth = level_depth(view, 5.0)
+    depth = ground_plane_depth(view, 5.0)
     points = surface_points(view.camera, view.cam_from_world, depth)
     assert np.allclose(points[:, 2], 5.0, atol=1e-4)
     up = narrow((0, 0, 40), 180.0)
-    assert not level_depth(up, 5.0).any(), "the sky"
+    assert not ground_plane_depth(up, 5.0).any(), "the sky"
 
 
 def test_the_scale_depends_on_the_focal_length() -> None:

@@ -15,7 +15,7 @@ from benchmark.cli import app
 from benchmark.report.board.cells import cells
 from benchmark.report.board.command import board
 from benchmark.report.board.runs import read_board
-from benchmark.tracks.description import held_out, load_track, write_track
+from benchmark.tracks.description import load_track, read_held_out, write_track
 from objconnect.scene.bundle.held_out import HeldOut, refuse_held_out
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.errors import InputError
@@ -117,7 +117,7 @@ def test_our_own_training_shows_nothing_that_is_held_out() -> None:
     assert len(shown) > 10
     seeds = re.findall(r"\b(?:town|suburb|park|farmland|industrial|street)-(\d+)", WEIGHTS)
     assert len(seeds) > 20
-    for track, held in held_out().items():
+    for track, held in read_held_out().items():
         assert not [name for name in shown if held.has_condition(name)], track
         assert not {int(seed) for seed in seeds} & set(held.seeds), track
 

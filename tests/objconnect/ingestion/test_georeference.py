@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from objconnect.ingestion.control import ControlResidual, Role
-from objconnect.ingestion.georeference import Receiver, estimate_georeference
+from objconnect.ingestion.georeference import GpsFixes, estimate_georeference
 from objconnect.ingestion.georegister import Georegistration
 from objconnect.ingestion.options import IngestOptions
 from objconnect.scene.bundle.georeference import Georeference
@@ -36,8 +36,8 @@ def measure(
     stated: dict[str, tuple[float, float, float]] | None = None,
 ) -> Georeference | None:
     placed = Georegistration(np.eye(4)[:3], "gps", blunders, np.array(sigma))
-    receiver = Receiver({name: FIXES[name] for name in NAMES[:fixes]}, stated or {})
-    return estimate_georeference(model(), placed, receiver, control, OPTIONS)
+    gps = GpsFixes({name: FIXES[name] for name in NAMES[:fixes]}, stated or {})
+    return estimate_georeference(model(), placed, gps, control, OPTIONS)
 
 
 def point(role: Role, *off: float) -> ControlResidual:

@@ -141,9 +141,9 @@ def test_a_frame_is_of_a_file_of_poses(rendered: Scene, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--poses-frame needs a file of poses"):
         ingest(photographs_of(rendered), tmp_path / "scene", poses_frame="projected")
     poses = tmp_path / "given" / "reconstruction.json"
-    with pytest.raises(InputError, match="topocentric by its field frame, but projected by"):
+    with pytest.raises(InputError, match="topocentric according to its field frame, but proj"):
         ingest(photographs_of(rendered), tmp_path / "scene", poses=poses, poses_frame="projected")
-    with pytest.raises(InputError, match="projected by --poses-frame"):
+    with pytest.raises(InputError, match="projected according to --poses-frame"):
         audit(poses, frame="projected")
     with pytest.raises(InputError, match="is not a reconstruction.json of ODM or OpenSfM"):
         audit(rendered.path, frame="topocentric")

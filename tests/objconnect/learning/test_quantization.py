@@ -12,7 +12,7 @@ from torch.nn import functional
 
 import objconnect.learning.quantization as quantization
 from objconnect.learning.inference import fuse_layers
-from objconnect.learning.quantization import double, largest_values, quantize
+from objconnect.learning.quantization import largest_values, quantize, upsample
 from objconnect.localization.featuremetric.quantized import channel_scales
 from objconnect.methods import create
 from objconnect.network.localizer import SHIPPED
@@ -93,10 +93,10 @@ def test_doubling_rounds_bilinear_values(
     maps = torch.randint(0, 256, (2, 6, *size), dtype=torch.uint8)
     maps = maps.contiguous(memory_format=torch.channels_last)
     exact = functional.interpolate(maps.float(), scale_factor=2.0, mode="bilinear")
-    made = double(maps)
+    made = upsample(maps)
     assert made.dtype == torch.uint8
     assert float((made.float() - exact).abs().max()) <= 0.5
-    torch.testing.assert_close(double(maps.float()), exact)
+    torch.testing.assert_close(upsample(maps.float()), exact)
 
 
 def test_what_cannot_be_quantized_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

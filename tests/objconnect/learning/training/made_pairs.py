@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from objconnect.learning.training.pairs import Pair, PairBatch, Pinhole, collate, wrong_start
+from objconnect.learning.training.pairs import Pair, PairBatch, Pinhole, collate, perturb_transform
 
 _DEPTH = 48.0
 
@@ -31,7 +31,7 @@ def pairs(batch: int = 2, size: int = 96, count: int = 64) -> PairBatch:
         xy = rng.uniform(12, size - 12, (count, 2))
         points = camera.lift(xy, np.full(count, _DEPTH))
         seen = camera.project(points + moved[:3, 3])
-        start = wrong_start(moved, _DEPTH, rng)
+        start = perturb_transform(moved, _DEPTH, rng)
         images = wide[:, :size], wide[:, shift:]
         made.append(
             Pair(*images, camera, camera, moved, start, points, xy, seen, np.ones(count, bool))

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from objconnect.learning.training.contrastive import contrastive, mean_over, sample
+from objconnect.learning.training.contrastive import contrastive_loss, mean_over, sample
 
 
 def cells(count: int) -> Tensor:
@@ -26,10 +26,10 @@ def test_features_that_tell_places_apart_cost_less() -> None:
     torch.manual_seed(0)
     smooth = functional.interpolate(torch.randn(1, 32, 8, 8), size=24, mode="bicubic")
     xy, valid = cells(50), torch.ones(1, 50, dtype=torch.bool)
-    right = mean_over(valid, contrastive(smooth, smooth, xy, xy, valid))
-    wrong = mean_over(valid, contrastive(smooth, smooth, xy, xy.flip(1), valid))
+    right = mean_over(valid, contrastive_loss(smooth, smooth, xy, xy, valid))
+    wrong = mean_over(valid, contrastive_loss(smooth, smooth, xy, xy.flip(1), valid))
     flat = torch.ones(1, 32, 24, 24)
-    plain = mean_over(valid, contrastive(flat, flat, xy, xy, valid))
+    plain = mean_over(valid, contrastive_loss(flat, flat, xy, xy, valid))
     assert right < plain < wrong
 
 
@@ -39,10 +39,10 @@ def test_points_that_are_not_valid_do_not_count() -> None:
     xy, valid = cells(50), torch.arange(50)[None] < 30
     spoiled = torch.where(valid[..., None], xy, torch.nan)
     torch.manual_seed(1)
-    first = mean_over(valid, contrastive(a, b, xy, spoiled, valid))
+    first = mean_over(valid, contrastive_loss(a, b, xy, spoiled, valid))
     torch.manual_seed(1)
     moved = torch.where(valid[..., None], xy, 5.0)
-    second = mean_over(valid, contrastive(a, b, xy, moved, valid))
+    second = mean_over(valid, contrastive_loss(a, b, xy, moved, valid))
     assert torch.allclose(first, second, rtol=1e-3)
 
 
@@ -56,7 +56,7 @@ def test_places_beside_the_true_one_are_told_from_it(radius: int, alike: int) ->
     maps = torch.stack([disc, ~disc]).float()[None]
     xy, valid = torch.full((1, 20, 2), 300.5), torch.ones(1, 20, dtype=torch.bool)
     torch.manual_seed(0)
-    odds = contrastive(maps, maps, xy, xy, valid).exp()
+    odds = contrastive_loss(maps, maps, xy, xy, valid).exp()
     assert 1 + alike - 0.2 < odds.min() and odds.max() < 1 + alike + 2
 
 
@@ -67,7 +67,7 @@ def test_places_elsewhere_are_told_from_the_true_one() -> None:
     maps = torch.stack([halves, 1 - halves])[None]
     xy, valid = torch.full((1, 20, 2), 16.5), torch.ones(1, 20, dtype=torch.bool)
     torch.manual_seed(0)
-    odds = contrastive(maps, maps, xy, xy, valid).exp()
+    odds = contrastive_loss(maps, maps, xy, xy, valid).exp()
     assert odds.mean() == pytest.approx(1 + 8 + 256, rel=0.1)
 
 
@@ -80,7 +80,7 @@ def test_the_true_place_is_no_other_place() -> None:
     maps = torch.randn(1, 256, 40, 40)
     middle = torch.arange(13, 27) + 0.5  # as far from the rim as any place beside
     xy = torch.cartesian_prod(middle, middle)[None]
-    assert contrastive(maps, maps, xy, xy, xy[..., 0] > 0).max() < 0.01
+    assert contrastive_loss(maps, maps, xy, xy, xy[..., 0] > 0).max() < 0.01
 
 
 def test_features_count_by_their_direction() -> None:
@@ -90,7 +90,7 @@ def test_features_count_by_their_direction() -> None:
     lost = []
     for longer in (1.0, 5.0):
         torch.manual_seed(1)
-        lost.append(contrastive(longer * a, longer * b, xy, xy, valid))
+        lost.append(contrastive_loss(longer * a, longer * b, xy, xy, valid))
     torch.testing.assert_close(*lost)
 
 
@@ -104,6 +104,6 @@ def test_the_loss_of_orthogonal_and_equal_features() -> None:
     a[:, 0], a[:, 1] = math.cos(angle), math.sin(angle)
     b[:, :, 1, 1] = torch.tensor([1.0, 0.0])
     torch.manual_seed(0)
-    lost = contrastive(a, b, xy, xy, valid)
+    lost = contrastive_loss(a, b, xy, xy, valid)
     own, other = math.cos(angle) / 0.07, math.sin(angle) / 0.07
     assert float(lost) == pytest.approx(math.log1p(17 * math.exp(other - own)), abs=1e-2)

@@ -8,7 +8,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from objconnect.learning.training.augment import photometric
+from objconnect.learning.training.augment import augment
 from objconnect.learning.training.crops import crop
 from objconnect.learning.training.pairs import Pair, Pinhole, collate
 from objconnect.learning.training.planes import PlanePairs
@@ -126,10 +126,10 @@ def test_crops_of_different_flights_have_one_up(rendered: Scene) -> None:
 def test_light_moves_nothing(photographs: Path) -> None:
     image = cv2.imread(str(photographs / "0.png"))
     assert image is not None
-    changed = photometric(image.astype(np.uint8), generator(0))
+    changed = augment(image.astype(np.uint8), generator(0))
     assert changed.shape == image.shape
     assert not np.array_equal(changed, image)
-    np.testing.assert_array_equal(photometric(image.astype(np.uint8), generator(0), 0.0), image)
+    np.testing.assert_array_equal(augment(image.astype(np.uint8), generator(0), 0.0), image)
 
 
 def test_batches_project_as_pairs_do(rendered: Scene) -> None:

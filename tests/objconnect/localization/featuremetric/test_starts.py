@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from benchmark.evaluation.starts import position_prior, tilt_prior
+from benchmark.evaluation.starts import gravity_prior, position_prior
 from objconnect.localization.featuremetric.acceptance import AcceptanceModel
 from objconnect.methods import create
 from objconnect.scene.geometry.pose import Pose
@@ -24,7 +24,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
 # What nobody knows of the query's pose, by what is told.
 PRIORS = {
     "none": None,
-    "gravity": tilt_prior(TRUTH, QUERY.name, 3.0),
+    "gravity": gravity_prior(TRUTH, QUERY.name, 3.0),
     "gps": position_prior(TRUTH, QUERY.name, 15.0),
 }
 

@@ -273,7 +273,7 @@ def geoid(tmp_path: Path) -> Iterator[float]:
 def test_the_geoid_of_an_installed_grid(geoid: float) -> None:
     assert geoid_undulation(PLACE) == pytest.approx(geoid)
     above_sea = Projection("EPSG:4326+5773")
-    assert above_sea.heights == "EGM96 height"
+    assert above_sea.height_reference == "EGM96 height"
     assert above_sea.from_geodetic(PLACE)[2] == pytest.approx(PLACE.altitude - geoid)
 
 

@@ -99,7 +99,7 @@ def test_heights_by_a_ballpark_are_refused(code: int) -> None:
     ],
 )
 def test_places_by_a_ballpark_are_refused(words: str) -> None:
-    with pytest.raises(InputError, match="no conversion between .* and WGS 84 but a ballpark") as e:
+    with pytest.raises(InputError, match="only a ballpark conversion between .* and WGS 84") as e:
         Projection(words)
     assert "\n" not in str(e.value) and len(str(e.value)) < 300
 

@@ -84,10 +84,10 @@ def test_a_projected_file_alone_is_refused(odm: tuple[Path, Truth], tmp_path: Pa
     alone.write_text(path.read_text())
     (tmp_path / "odm_georeferencing" / "coords.txt").unlink()
     with pytest.raises(
-        InputError, match=r"in a projected system by gps_position \(turned by 2\.\d+"
+        InputError, match=r"in a projected system according to gps_position \(turned by 2\.\d+"
     ):
         read_foreign(alone)
-    with pytest.raises(InputError, match=r"by gps_position .*, but topocentric by --poses-frame"):
+    with pytest.raises(InputError, match=r"gps_position .*, but topocentric .* --poses-frame"):
         read_foreign(alone, "topocentric")
     with pytest.raises(InputError, match=r"its offset is unknown: give .*coords\.txt"):
         read_foreign(alone, "projected")
@@ -124,13 +124,13 @@ def test_a_stated_frame_contradicts_what_the_files_show(
     frames: tuple[CoordinateFrame, CoordinateFrame] = ("topocentric", "projected")
     right, wrong = frames if made == "first" else frames[::-1]
     assert_true(path, truth, right)
-    with pytest.raises(InputError, match=f"are {right} by .*beside it, but {wrong} by --poses-f"):
+    with pytest.raises(InputError, match=f"are {right} .*beside it, but {wrong} .*--poses-f"):
         read_foreign(path, wrong)
-    with pytest.raises(InputError, match="are topocentric by its name, but projected by"):
+    with pytest.raises(InputError, match="topocentric according to its name, but projected"):
         read_foreign(first, "projected")
     first.unlink()
     if gps:
-        with pytest.raises(InputError, match=f"{right} by gps_position.*, but {wrong} by --poses"):
+        with pytest.raises(InputError, match=f"{right} .* gps_position.*, but {wrong} .*--poses"):
             read_foreign(path, wrong)
 
 
@@ -149,7 +149,7 @@ def test_the_project_of_plain_opensfm_tells_the_frame(
     assert_true(path, truth, "topocentric")
     plain_project(path.parent)
     assert_true(path, truth)
-    with pytest.raises(InputError, match="by OpenSfM's project around it, but projected by"):
+    with pytest.raises(InputError, match="OpenSfM's project around it, but projected"):
         read_foreign(path, "projected")
     (path.parent / "image_list.txt").write_text("/datasets/project/images/a.jpg\n")
     with pytest.raises(InputError, match="cannot be determined"):
@@ -195,8 +195,11 @@ def test_a_name_that_contradicts_the_poses_is_refused(
         del shot["gps_position"]
     moved = json.dumps(document)
     for name, says in (
-        ("topocentric", r"topocentric by its name, but projected by gps_position \(turned by 2"),
-        ("geocoords", "projected by its name, but topocentric by OpenSfM's project around it"),
+        ("topocentric", r"to its name, but projected according to gps_position \(turned by 2"),
+        (
+            "geocoords",
+            "projected according to its name, but topocentric according to OpenSfM",
+        ),
     ):
         file = project / f"reconstruction.{name}.json"
         file.write_text(path.read_text() if name == "topocentric" else moved)

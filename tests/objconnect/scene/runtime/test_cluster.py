@@ -118,7 +118,7 @@ def test_another_error_is_tried_again(two_nodes: TwoNodes, tmp_path: Path) -> No
     ],
 )
 def test_shares_are_large_first_and_complete(count: int, cores: int, sizes: list[int]) -> None:
-    units = split_work(range(count), cores, least=8, most=200)
+    units = split_work(range(count), cores, min_size=8, max_size=200)
     assert [len(unit) for unit in units] == sizes
     assert [item for unit in units for item in unit] == list(range(count))
 

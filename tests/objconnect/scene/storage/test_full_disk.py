@@ -228,7 +228,7 @@ def test_localize_ends_with_one_line(
     )
     assert ended.returncode == 2, ended.stderr
     errors = [line for line in ended.stderr.splitlines() if "error" in line.lower()]
-    assert len(errors) == 1 and "free some and run again" in errors[0]
+    assert len(errors) == 1 and "free some space and run again" in errors[0]
     assert str(disk) in errors[0]
     assert "Traceback" not in ended.stderr
     left = {path.name for path in disk.rglob("*")} - {"filling", "cache"}

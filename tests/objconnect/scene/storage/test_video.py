@@ -144,8 +144,7 @@ def test_frames_before_a_cut_are_kept(tmp_path: Path, caplog: pytest.LogCaptureF
     assert 8 <= len(frames) <= 15
     assert [frame.index for frame in frames] == list(range(len(frames)))
     assert any(
-        "frames before are used" in line or "those before are used" in line
-        for line in caplog.messages
+        "is used up to there" in line or "these frames are used" in line for line in caplog.messages
     )
 
 
