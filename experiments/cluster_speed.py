@@ -76,7 +76,7 @@ def main() -> None:
     try:
         for _ in range(args.turns):
             for workers in (1, 2):
-                nodes.have(workers)
+                nodes.set_node_count(workers)
                 run = measure(nodes.address, workers, job)
                 runs[workers].append(run)
                 print(

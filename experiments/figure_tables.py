@@ -18,11 +18,11 @@ from benchmark.scoring.uncertainty import consistency
 from benchmark.tracks.queries import SEEN, UNSEEN
 from experiments.figure_values import (
     FOUND,
-    asked_by_all,
     look_up,
     percent,
     run_of,
     select,
+    shared_queries,
     track_of,
 )
 from objconnect.scene.errors import InputError
@@ -100,7 +100,7 @@ def recall_by(boards: Boards, track: str, start: str, by: str, queries: str = "c
 def novelty(boards: Boards, track: str, start: str, *names: str) -> str:
     """Return recall at 0.5 m and 5 degrees on what training may use and on what a track holds out.
 
-    It counts the changed queries that all methods in the table were asked, so that columns can be
+    It counts the changed queries that all methods in the table were given, so that columns can be
     compared.
     Each row states its places, queries and courses.
 
@@ -115,7 +115,7 @@ def novelty(boards: Boards, track: str, start: str, *names: str) -> str:
     """
     board = track_of(boards, track)
     runs = [run_of(board, start, name) for name in names] or _runs(board, start)
-    shared = asked_by_all(*runs, rows=select(board, "changed"))
+    shared = shared_queries(*runs, rows=select(board, "changed"))
     lines = [["", *(f"`{run.method}`" for run in runs)]]
     for name in (SEEN, *UNSEEN):
         rows = shared[[board.queries[row].novelty == name for row in shared]]
@@ -171,14 +171,14 @@ def table(boards: Boards, words: str) -> str:
         raise InputError(f"table {words!r}: {error}") from None
 
 
-def _asked_by_any(runs: Sequence[BoardRun], rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the queries among ``rows`` that at least one method was asked."""
+def _queries_of_any(runs: Sequence[BoardRun], rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the queries among ``rows`` that at least one method was given."""
     return rows[np.array([run.has[rows] for run in runs]).any(axis=0)]
 
 
 def _shared(board: TrackBoard, start: str) -> NDArray[np.int64]:
-    """Return the changed queries that all methods with results from a start were asked."""
-    return asked_by_all(*_runs(board, start), rows=select(board, "changed"))
+    """Return the changed queries that all methods with results from a start were given."""
+    return shared_queries(*_runs(board, start), rows=select(board, "changed"))
 
 
 def _runs(board: TrackBoard, start: str) -> list[BoardRun]:
@@ -209,13 +209,12 @@ def _row(
     rows: NDArray[np.int64],
     text: Callable[[Interval], str],
 ) -> list[str]:
-    """Return a row of recalls, with the number of queries where a method was asked fewer."""
-    asked = _asked_by_any(runs, rows)
-    most = len(asked)
-    cells = [f"{name} ({_size(board, asked)})"]
+    """Return a row of recalls, with the number of queries where a method was given fewer."""
+    queries = _queries_of_any(runs, rows)
+    cells = [f"{name} ({_size(board, queries)})"]
     for answers in (run.answers_at(rows) for run in runs):
         cell = text(recall(answers, FOUND)) if answers else "–"
-        cells.append(cell if len(answers) in (0, most) else f"{cell} ({len(answers)})")
+        cells.append(cell if len(answers) in (0, len(queries)) else f"{cell} ({len(answers)})")
     return cells
 
 

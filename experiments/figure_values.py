@@ -41,7 +41,7 @@ _Named = TypeVar("_Named")
 
 QUERIES_HELP: Final = (
     "same, changed or all; seen, unseen-condition, unseen-place or unseen-both; snow; a condition, "
-    "a part or a data set of the track; with:METHOD for the queries that another method was asked "
+    "a part or a data set of the track; with:METHOD for the queries that another method was given "
     "too"
 )
 # Smallest p value that is written as a number; below it the sums of a binomial underflow.
@@ -115,7 +115,7 @@ FIGURES: Final[Mapping[str, Callable[[Sequence[QueryResult]], str]]] = {
     "within": _ellipsoid_share,
 }
 """Figures of a method: recall within 0.5 m and 5 degrees alone, with its interval, within 0.25 m
-and 2 degrees, within 5 m and 10 degrees; queries found, missed, asked, their courses, queries
+and 2 degrees, within 5 m and 10 degrees; queries found, missed, given, their courses, queries
 without an answer; false fixes, answers wrong by more than 1 m, and answers worse than their prior,
 each as a count and a share; mean NEES; share of errors in the 95 % ellipsoid."""
 
@@ -124,7 +124,7 @@ PLACES: Final = "places"
 
 
 class Pair:
-    """Two methods on the queries that both were asked.
+    """Two methods on the queries that both were given.
 
     Attributes:
         rows: (K,) indices of these queries in the list of the track.
@@ -133,7 +133,7 @@ class Pair:
     """
 
     def __init__(self, board: TrackBoard, first: BoardRun, second: BoardRun, words: str) -> None:
-        self.rows = asked_by_all(first, second, rows=select(board, words))
+        self.rows = shared_queries(first, second, rows=select(board, words))
         datasets = {board.queries[row].dataset for row in self.rows}
         if reason := reason_against(board.track.controls, first, second, sorted(datasets)):
             raise InputError(f"{first.method} and {second.method} are not compared: {reason}")
@@ -176,7 +176,7 @@ def value(boards: Mapping[str, TrackBoard], name: str) -> str:
     if other:
         pair_figure = look_up(PAIRED, figure, "paired figure")
         return pair_figure(Pair(board, run, run_of(board, start, other), words))
-    rows = asked_by_all(run, rows=select(board, words))
+    rows = shared_queries(run, rows=select(board, words))
     if figure == PLACES:
         return str(len(board.datasets_at(rows)))
     answers_figure = look_up(FIGURES, figure, "figure")
@@ -213,8 +213,8 @@ def run_of(board: TrackBoard, start: str, method: str) -> BoardRun:
     return look_up(runs, f"{start}/{method}", f"run of {board.track.name}")
 
 
-def asked_by_all(*runs: BoardRun, rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the queries among ``rows`` that every method was asked.
+def shared_queries(*runs: BoardRun, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the queries among ``rows`` that every method was given.
 
     Raises:
         InputError: there is none.

@@ -90,4 +90,4 @@ def test_query_cameras_off_by_half_a_pixel_are_named(
     assert text != path.read_text()
     report = validate(sparse, cache)
     assert not report.ok
-    assert "half a pixel low" in report.text()
+    assert "half a pixel too small" in report.text()

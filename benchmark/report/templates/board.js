@@ -7,7 +7,7 @@
 
   const track = () => data.tracks[state.track];
   const start = () => track().starts[state.start];
-  // Where methods were asked different queries, the cells of each one's, or of those that all were asked.
+  // If methods were given different queries, the user chooses: each method's own queries, or the shared ones.
   const cellsShown = () => (state.shared && start().shared.length ? start().shared : start().cells);
   const labelOf = (run) => start().runs[run].label;
   const everyRun = () => start().runs.map((_, run) => run);

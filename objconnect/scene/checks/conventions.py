@@ -95,11 +95,11 @@ DEPTH_CONVENTIONS = (
 
 PIXEL_CONVENTIONS = (
     Convention(
-        "principal points are half a pixel low: pixels are counted from the centre of the first "
-        "pixel (OpenCV), expected from its corner (COLMAP)",
+        "principal points are half a pixel too small: pixels are counted from the centre of the "
+        "first pixel (OpenCV), expected from its corner (COLMAP)",
         principal_shift=0.5,
     ),
-    Convention("principal points are half a pixel high", principal_shift=-0.5),
+    Convention("principal points are half a pixel too large", principal_shift=-0.5),
 )
 
 CONVENTIONS = (*POSE_CONVENTIONS, *DEPTH_CONVENTIONS, *PIXEL_CONVENTIONS)

@@ -116,7 +116,9 @@ def test_pose_conventions_are_named(
     assert fault in faults(queries_copy)
 
 
-@pytest.mark.parametrize(("pixels", "fault"), [(-0.5, "half a pixel low"), (0.5, "pixel high")])
+@pytest.mark.parametrize(
+    ("pixels", "fault"), [(-0.5, "half a pixel too small"), (0.5, "pixel too large")]
+)
 def test_half_a_pixel_is_named(queries_copy: Path, pixels: float, fault: str) -> None:
     rewrite(
         queries_copy,
