@@ -227,7 +227,7 @@ All places have seed {config.seed} and a side of {config.area:g} m, or the small
 place allows. Each is shown from an orbit, from above and from the street.
 {kinds}
 
-## Conditions over {config.preset}
+## The preset {config.preset} under all conditions
 
 No object moves between conditions. In the season leafoff, broadleaved trees are bare; a
 scene records them as changed objects. Every season, light and weather can be combined. Each
@@ -237,11 +237,11 @@ figure varies one of the three; the other two are those of {base_condition}.
 
 ![{config.preset} in every season]({PICTURES}/{_SEASON}.jpg)
 
-### Lights
+### Light
 
 ![{config.preset} in every light]({PICTURES}/{_LIGHT}.jpg)
 
-### Weathers
+### Weather
 
 ![{config.preset} in every weather]({PICTURES}/{_WEATHER}.jpg)
 """

@@ -94,8 +94,8 @@ def _docstring(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
 def table() -> str:
     """Return the table of all packages and of their sum, as Markdown."""
     lines = [
-        "| package | files | lines | 90 % of files under | functions | "
-        f"over {LONG} lines | over {WIDE} parameters |",
+        "| package | files | lines | lines per file (90 % quantile) | functions | "
+        f"functions over {LONG} lines | functions over {WIDE} parameters |",
         "|---|--:|--:|--:|--:|--:|--:|",
         *(measure(package).row(f"`{package}/`") for package in PACKAGES),
         measure(*PACKAGES).row("**all**"),

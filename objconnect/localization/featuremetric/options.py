@@ -145,7 +145,8 @@ class FeaturemetricConfig(NetworkOptions):
     )
     multistart: bool = Field(
         False,
-        description="Search around the start, for priors beyond the convergence of the alignment.",
+        description="Search around the initial pose, for priors beyond the convergence of one "
+        "alignment.",
     )
     precision: Precision = Field(
         "float32",

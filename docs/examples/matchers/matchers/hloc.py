@@ -17,7 +17,7 @@ from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.storage.files import require_readable
 from objconnect.scene.storage.hdf5 import array, group
 
-# hloc counts pixels from the centre of the first one, the project from its corner.
+# In hloc the centre of the top left pixel is (0, 0), in this project (0.5, 0.5).
 CORNER = 0.5
 
 
@@ -64,7 +64,7 @@ class Hloc:
         """Return the group of a pair, and whether the query comes second; None without one."""
         parts = [part.replace("/", "-") for part in (query, name)]
         for second, (a, b) in enumerate((parts, parts[::-1])):
-            for group_name in (f"{a}/{b}", f"{a}_{b}"):  # the latter of older hloc
+            for group_name in (f"{a}/{b}", f"{a}_{b}"):  # the latter in files of older hloc
                 if group_name in self._matches:
                     return group_name, bool(second)
         return None

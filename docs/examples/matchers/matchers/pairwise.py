@@ -29,7 +29,7 @@ log = logging.getLogger(__name__)
 
 # Number of SIFT features of a photograph, for retrieval without a prior.
 RETRIEVAL_FEATURES = 2048
-# vismatch counts pixels from the centre of the first one, the project from its corner.
+# In vismatch the centre of the top left pixel is (0, 0), in this project (0.5, 0.5).
 CORNER = 0.5
 
 
@@ -132,7 +132,7 @@ def load_matcher(config: VismatchConfig) -> Any:
         return library.get_matcher(
             config.matcher, device=config.device, max_num_keypoints=config.max_features
         )
-    except Exception as error:  # of any of fifty libraries
+    except Exception as error:  # raised by any of fifty libraries
         what = f"matcher={config.matcher} on device={config.device}"
         raise InputError(
             f"vismatch cannot load {what}: {str(error).partition(chr(10))[0]}"
