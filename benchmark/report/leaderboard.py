@@ -35,8 +35,9 @@ def leaderboard(results: Sequence[Path], out: Path | None = None) -> str:
 
     Raises:
         InputError: there are no results, a file is not a results file or its summaries do not
-            match its per-query results, two files of one run differ, an album or basin beside it is
-            damaged, or ``out`` cannot be written.
+            match its per-query results, two files of one run differ, a file of thumbnails
+            (``album.h5``) or of basins of convergence (``*.basin.json``) beside it is damaged, or
+            ``out`` cannot be written.
     """
     if out is not None:
         check_outputs(

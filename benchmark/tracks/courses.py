@@ -1,4 +1,4 @@
-"""The courses of a track, across its places, from the records of its renders."""
+"""Find flights along the same path (a *course*) among all rendered places of a benchmark track."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from benchmark.tracks.renders import Render, read_render, render_path
 
 
 def track_courses(folder: Path, track: Track) -> dict[str, str]:
-    """Return the course of each flight, ``DATASET/FLIGHT``, as the name of the first flight on it.
+    """Map each flight, ``DATASET/FLIGHT``, to the first flight along the same path.
 
     Flights over different places are compared in local coordinates, because places of one seed may
-    have the same flights. A place without a record of its render is left out.
+    have the same flights. A place whose render is not recorded is left out.
 
     Args:
         folder: folder of the track.

@@ -19,7 +19,7 @@ def board_page(boards: Sequence[TrackBoard]) -> str:
     """Return the leaderboard of all tracks as HTML.
 
     Raises:
-        InputError: an album of a track is damaged.
+        InputError: a track's file of thumbnails (``benchmark.report.album``) is damaged.
     """
     tracks = []
     pictures = Pictures()
