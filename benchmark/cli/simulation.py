@@ -73,7 +73,8 @@ KeyFile = Annotated[
     Path | None,
     typer.Option(
         metavar="KEYFILE",
-        help="File of at least 16 random bytes, from which the seeds of sealed places are derived.",
+        help="File of at least 16 random bytes, from which the seeds of places with withheld query "
+        "poses are derived.",
     ),
 ]
 

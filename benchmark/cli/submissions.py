@@ -46,8 +46,8 @@ def submit(
         Path,
         typer.Argument(
             metavar="DATASET",
-            help="Data set of a track, also with sealed poses; or Extended CMU Seasons, or one "
-            "slice of it.",
+            help="Data set of a track, whose query poses may be withheld; or Extended CMU Seasons, "
+            "or one slice of it.",
         ),
     ],
     out: Annotated[

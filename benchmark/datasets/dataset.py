@@ -1,4 +1,4 @@
-"""The types of a data set: a map, and queries whose poses are known or sealed.
+"""The types of a data set: a map, and queries whose poses are known or withheld (*sealed*).
 
 The readers beside this module build them from the files of each kind of data set.
 """

@@ -47,7 +47,7 @@ def parts_of(
 
 
 def sealed_sha256(dataset: Dataset) -> str:
-    """Return the digest of the public half of a data set whose query poses are sealed.
+    """Return the digest of the public half of a data set whose query poses are withheld.
 
     It covers no reference pose, and the photographs of the queries without their metadata.
 

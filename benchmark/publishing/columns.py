@@ -38,7 +38,8 @@ COLUMNS: Final[Mapping[str, Column]] = {
     "condition": Column("text", "season, light and weather"),
     "flight": Column("text", "kind of the session's flight, such as nadir or oblique"),
     "image": Column(
-        "picture", "the photograph's file, unchanged except that sealed queries lack metadata"
+        "picture",
+        "the photograph's file, without metadata if the query's pose is withheld, else unchanged",
     ),
     "sha256": Column("text", "SHA-256 of the photograph's file"),
     "camera_model": Column("text", "COLMAP's name of the camera model"),
@@ -48,10 +49,10 @@ COLUMNS: Final[Mapping[str, Column]] = {
     "cam_from_world": Column(
         "float",
         "rigid transform from the world (east, north, up; metres) to the camera (x right, y down, "
-        "z forward); exact in rendered scenes; null if it is sealed",
+        "z forward); exact in rendered scenes; null if it is withheld",
         (4, 4),
     ),
-    "time": Column("float", "seconds since 1970; null if unknown or sealed"),
+    "time": Column("float", "seconds since 1970; null if unknown or withheld"),
     "gps_prior": Column(
         "float", "camera centre measured by GNSS, world metres; null if not measured", (3,)
     ),

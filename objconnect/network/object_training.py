@@ -50,8 +50,8 @@ class ObjectTraining:
         maps = DetectorMaps(each.float() for each in maps)
         stride = self._detector.config.stride
         loss, logged = geometry_loss(maps, batch.objects, stride)
-        identity, first_share = identity_loss(maps, batch.objects, stride)
-        logged |= {"identity": float(identity.detach()), "found first": first_share}
+        identity, top1_accuracy = identity_loss(maps, batch.objects, stride)
+        logged |= {"identity": float(identity.detach()), "top-1 accuracy": top1_accuracy}
         return loss + IDENTITY_SHARE * identity, logged
 
     def groups(self, rate: float) -> list[dict[str, Any]]:

@@ -2,7 +2,8 @@
 
 The hub reads ``.eval_results/*.yaml`` of a model repository: a list of scores, each with the data
 set's repository, task and commit (https://huggingface.co/docs/hub/eval-results). The task is the
-start of the results, such as ``none``, because methods are compared only from one start.
+prior that the method received (``--start``), such as ``none``, because only methods with the same
+prior are compared.
 """
 
 from __future__ import annotations

@@ -225,7 +225,7 @@ def train_detector(rendered: Scene, steps: int) -> tuple[set[str], set[str], lis
 
 def test_training_changes_the_detector_alone(rendered: Scene) -> None:
     changed, figures, _ = train_detector(rendered, 2)
-    assert {"centres", "identity", "found first"} <= figures
+    assert {"centres", "identity", "top-1 accuracy"} <= figures
     assert changed and all(name.startswith("detector.") for name in changed)
 
 
