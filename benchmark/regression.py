@@ -1,4 +1,8 @@
-"""The command ``regress``, which tests whether recall or integrity dropped since a baseline."""
+"""The command ``regress``, which tests whether recall or integrity dropped since a baseline.
+
+Integrity drops if more answers are wrong by over 1 m, by over 5 m or 10 degrees, or are farther off
+than the query's prior.
+"""
 
 from __future__ import annotations
 
@@ -101,8 +105,8 @@ def regress(results: Path, baseline: Path) -> list[Comparison]:
 
     Raises:
         InputError: there is no baseline, it is ``results`` itself, or a results file is missing,
-            damaged, from other data or another start than the baseline, or with reference poses
-            that are too inexact for any metric.
+            damaged, from other data or other starting information than the baseline, or with
+            reference poses that are too inexact for any metric.
     """
     if results.resolve() == baseline.resolve():
         raise InputError(f"{results} is compared with itself: name the baseline with --against")
@@ -156,8 +160,9 @@ def _compare(before: Results, after: Results, name: str) -> Iterator[Comparison]
         )
     if before.start != after.start:
         raise InputError(
-            f"{name}: the results are of start {after.start}, the baseline of {before.start}; "
-            "evaluate with the same start, or record the baseline again with --update"
+            f"{name}: the results were made with --start {after.start}, the baseline with "
+            f"{before.start}; evaluate with the same --start, or record the baseline again with "
+            "--update"
         )
     by_name = {query.name: query for query in after.queries}
     conditions = dict.fromkeys(query.condition for query in before.queries)

@@ -121,7 +121,7 @@ def create(name: str, overrides: Mapping[str, Any]) -> Localizer:
 
 
 def _give_matcher(localizer: Localizer) -> None:
-    """Give a localizer by alignment the method that its option ``search.matcher`` names."""
+    """Give a localizer that aligns features the matcher that ``search.matcher`` names."""
     search = getattr(getattr(localizer, "config", None), "search", None)
     matcher = getattr(search, "matcher", None)
     if matcher is None or not hasattr(localizer, "matched_finder"):

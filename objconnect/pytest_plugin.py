@@ -1,4 +1,4 @@
-"""A pytest plugin with the recall gate as a fixture, for any repository that has this package.
+"""A pytest plugin with a fixture against drops of recall, for any repository that has this package.
 
 ``no_recall_drop(results, baseline)`` fails the test that calls it if recall dropped by more than
 chance; ``pytest --update-recall`` records the results as the baseline instead.

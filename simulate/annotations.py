@@ -20,7 +20,7 @@ _PER_SIDE = 16
 
 
 def measure_covisibility(scene: Scene) -> Covisibility:
-    """Measure the share of every frame's surface that each other frame sees, over all sessions.
+    """Measure the share of every frame's surface that each other frame sees, over all flights.
 
     Raises:
         InputError: a session is missing or damaged.

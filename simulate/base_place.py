@@ -1,4 +1,4 @@
-"""Build or load the place of a scene without the changes of its sessions."""
+"""Build or load the place (rendered world) of a scene, before its sessions (flights) change it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from simulate.twin.report import PLACE_FILE, REPORT_FILE, SiteReport
 
 
 def check_site(config: SimulateConfig, out: Path, cluster: str | None) -> None:
-    """Check that a site can be rendered into a folder; other presets need no check.
+    """Check that a site, a real place, can be rendered into a folder; other presets pass.
 
     Raises:
         InputError: The folder lies in the source scene of the site, or a cluster is given.

@@ -74,8 +74,8 @@ def simulate(
 
     Raises:
         InputError: ``out`` holds something else or cannot be written, the disk is too full, the
-            place cannot be built, a session cannot be flown, rendering failed, the cluster does not
-            exist, or it is given for a site.
+            place cannot be built, a session (flight) cannot be flown, rendering failed, the cluster
+            does not exist, or it is given for a site (a real place).
     """
     check_site(config, out, cluster)
     with write_lock(out):
@@ -220,8 +220,8 @@ def render_job(
 ) -> RenderJob:
     """Return the render job of a session with poses (N, 4, 4) for frames 0 to N - 1.
 
-    ``first_new_id`` is the first id of moved and added objects, ``site_path`` the file of a site's
-    place, and ``windows`` are those of a tiled place.
+    ``first_new_id`` is the first id of moved and added objects, and ``site_path`` the file of a
+    site. ``windows`` are squares of tiles of a large place, each with the frames that need them.
     """
     pinhole, distorted_camera = cover_by_pinhole(config.photo_camera(session))
     travel = config.sensor.readout_s * velocities(poses, config.interval_s)

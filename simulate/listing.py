@@ -21,7 +21,7 @@ from simulate.place.world import World, WorldObject
 
 
 def describe_objects(place: World, items: Sequence[WorldObject]) -> Objects:
-    """Return the contents of ``objects.json``: the objects and the parts of a place."""
+    """Return the contents of ``objects.json``: the objects and the named areas of a place."""
 
     def describe(item: WorldObject) -> SceneObject:
         size = (float(item.size[0]), float(item.size[1]), float(item.size[2]))
@@ -45,7 +45,7 @@ def describe_objects(place: World, items: Sequence[WorldObject]) -> Objects:
 
 
 def list_splits(out: Path, config: SimulateConfig) -> Splits:
-    """Return the contents of ``splits.json``: the frames of the sessions in a folder by role.
+    """Return the contents of ``splits.json``: the frames of map and query flights in a folder.
 
     Raises:
         InputError: a session is missing or damaged.

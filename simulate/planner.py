@@ -1,4 +1,4 @@
-"""Plan the poses of a session's photographs from its configuration."""
+"""Plan the poses of the photographs of a session (one flight) from its configuration."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ context, the number of frames (None where the flight determines it) and a random
 
 
 def session_generator(config: SimulateConfig, index: int) -> np.random.Generator:
-    """Return the generator that draws a session's course, its wind and the noise of its priors.
+    """Return the generator that draws a session's path, its wind and the noise of its priors.
 
     Each session has its own generator, so that adding a session does not change others.
 
@@ -81,7 +81,7 @@ def plan_session(
         session: The session, whose flight is planned.
         config: The configuration of the scene.
         camera: The camera of the photographs; its footprint is approximated by a pinhole.
-        world: The place with the session's change.
+        world: The place, with the objects that the session moves, removes or adds.
         rng: The random generator of the session, see ``session_generator``.
         free_test: Returns which positions (N, 3) are free for a camera; None tests them against
             the objects of ``world``.

@@ -23,13 +23,14 @@ from simulate.twin.report import SiteReport
 
 
 class SessionPlan(NamedTuple):
-    """A planned session.
+    """A planned session (flight).
 
     Attributes:
         poses: Poses ``cam_from_world`` (N, 4, 4).
-        rng: Generator of the noise of its priors.
-        first_new_id: First id of objects that its change moves or adds, in a place without tiles.
-        windows: Windows of a tiled place with all photographs; empty for other places.
+        rng: Generator of the noise of its position and attitude priors.
+        first_new_id: First id of objects that the session moves or adds, in a place without tiles.
+        windows: Squares of tiles of a tiled place, each with the photographs that need them; empty
+            for other places.
     """
 
     poses: NDArray[np.float64]
@@ -42,8 +43,8 @@ class ScenePlan(NamedTuple):
     """A planned scene.
 
     Attributes:
-        place: The place without changes. A tiled place has no objects here.
-        report: Report of a site, if it must still be written; None otherwise.
+        place: The place before sessions change objects. A tiled place has no objects here.
+        report: Report of a site (a real place), if it must still be written; None otherwise.
         objects: Objects of all sessions, by ascending id. Of a tiled place, these are the objects
             of the tiles that photographs may show.
         worlds: The world of each session.

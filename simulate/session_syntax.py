@@ -1,4 +1,4 @@
-"""Read a session as it is written on the command line."""
+"""Read a session (one flight under one condition) as it is written on the command line."""
 
 from __future__ import annotations
 

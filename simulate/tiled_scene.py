@@ -130,7 +130,7 @@ class NumberedTiles(NamedTuple):
     ids: list[dict[Index, TileIds]]
 
     def windows(self, session: int, views: Mapping[int, View]) -> tuple[Window, ...]:
-        """Return the windows of a session with the views of its photographs."""
+        """Return the windows (squares of tiles) in which a session is rendered, by its views."""
         return group_views(views, self.ids[session])
 
 

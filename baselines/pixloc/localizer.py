@@ -42,11 +42,11 @@ class PixlocLocalizer(FeaturemetricLocalizer):
 
 
 class PixlocSearchConfig(SearchingConfig):
-    """Options of the pixloc-search localizer, those of ``objconnect`` without objects.
+    """Options of the pixloc-search localizer: the options of ``objconnect`` without objects.
 
-    It is a control in comparisons. Its gain over ``pixloc`` comes from SIFT matches, the search,
-    the corners and more reference images. The gain of ``objconnect`` over it comes from the network
-    and objects.
+    It separates two causes in comparisons. Its gain over ``pixloc`` comes from SIFT matches, the
+    search of the whole map, image corners used as additional points, and more reference images. The
+    gain of ``objconnect`` over it comes from the network and objects.
     """
 
 

@@ -4,7 +4,7 @@
 - ``opening``: readers of these statements for every known format.
 - ``files``: missing, damaged, wrongly sized and duplicate photographs.
 - ``matches``: feature matches between photographs, found without poses.
-- ``agreement``: poses against the matches, in every convention.
+- ``agreement``: poses against the matches, also inverted or with other camera axes.
 - ``photograph_order``: poses that belong to other photographs.
 - ``calibration``: focal lengths and principal points against the matches.
 - ``positions``: positions against those in the photographs' EXIF.

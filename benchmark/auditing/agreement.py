@@ -1,4 +1,6 @@
-"""Agreement of poses with the matches between photographs, in every convention of poses.
+"""Agreement of poses with the matches between photographs, as stated and in other conventions.
+
+Other conventions of poses are, for example, inverted matrices or the camera axes of OpenGL.
 
 A match agrees if its Sampson error is small and its point lies in front of both cameras. Neither a
 rigid motion of the world nor its scale changes this, so that poses in any world can be checked.

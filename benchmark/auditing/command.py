@@ -1,4 +1,4 @@
-"""The command ``audit``, which checks the statements of a data set against its photographs."""
+"""The command ``audit``, which checks a data set's poses and cameras against its photographs."""
 
 from __future__ import annotations
 

@@ -62,9 +62,9 @@ def open_data(
         frame: frame of another program's poses, if their file does not state it.
 
     Raises:
-        InputError: no reader supports the path, a file is damaged, every session of a scene has a
-            rolling shutter, ``images`` is not a folder, has none of the photographs or is given for
-            a scene, or ``frame`` is given for a format that states its frame.
+        InputError: no reader supports the path, a file is damaged, every flight (session) of a
+            scene has a rolling shutter, ``images`` is not a folder, has none of the photographs or
+            is given for a scene, or ``frame`` is given for a format that states its frame.
     """
     if images is not None and not images.is_dir():
         raise InputError(f"{images} is not a folder: give the photographs' folder with --images")

@@ -1,7 +1,7 @@
 """The boundary between a command and the shell: every error becomes one line and an exit code.
 
-Other programs rely on the exit codes. 1 means that recall or integrity dropped since a baseline; no
-error ends with 1.
+Other programs rely on the exit codes. 1 means that recall dropped since a baseline, or that wrong
+answers became more frequent; no error ends with 1.
 """
 
 from __future__ import annotations

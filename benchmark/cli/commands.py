@@ -14,7 +14,7 @@ from benchmark.cli.boundary import Boundary
 COMMANDS: Final[Mapping[str, Mapping[str, str]]] = {
     "simulation": {
         "simulate": "Render a scene with exact camera poses.",
-        "track": "Render and map the places of a leaderboard track, or check its flights.",
+        "track": "Render and map the sites of a benchmark track, or check its flights.",
         "calibrate": "Calibrate the simulated camera from rendered chessboards.",
     },
     "scenes": {
@@ -52,7 +52,7 @@ COMMANDS: Final[Mapping[str, Mapping[str, str]]] = {
     "reports": {
         "leaderboard": "Compare results in one table per data set and starting information.",
         "gate-scene": "Write a small flight data set that comes with the package.",
-        "regress": "Compare results with recorded ones and exit with 1 if a figure dropped.",
+        "regress": "Compare results with recorded ones and exit with 1 if a metric dropped.",
         "view": "Write a scene as an interactive page and as a picture.",
     },
     "environment": {

@@ -286,9 +286,9 @@ def score(
 ) -> None:
     """Score the poses that another program estimated.
 
-    A query without a line counts as failed. Nothing verifies the start: tables print it "as
-    declared". Replaces older results of the same name if score wrote them, and never results of
-    evaluate.
+    A query without a line counts as failed. Nothing verifies --start, the information that the
+    program had on each query: tables print it "as declared". Replaces older results of the same
+    name if score wrote them, and never results of evaluate.
     """
     from benchmark.evaluation.external_poses import score as run
 

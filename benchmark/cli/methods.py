@@ -114,7 +114,7 @@ def publish_weights(
     ],
     out: Annotated[
         Path,
-        typer.Option(metavar="DIR", help="New or empty folder; its name is that of the model."),
+        typer.Option(metavar="DIR", help="New or empty folder; the model gets its name."),
     ],
     results: Annotated[
         list[Path] | None,

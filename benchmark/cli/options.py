@@ -68,7 +68,8 @@ Datasets = Annotated[
         metavar="DATASET",
         help="Scene, folder of a flight, folder that publish wrote or hf://OWNER/NAME@COMMIT, "
         "Extended CMU Seasons or one slice of it, AerialExtreMatch-Localization. A flight with a "
-        "hard split is two data sets; FLIGHT-sparse names the hard split alone.",
+        "hard split (with a sparser map) is two data sets; FLIGHT-sparse names the hard split "
+        "alone.",
     ),
 ]
 

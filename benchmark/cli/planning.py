@@ -42,7 +42,7 @@ Twin = Annotated[
     Path | None,
     typer.Option(
         metavar="TWIN",
-        help="Finished twin of the site (simulate --preset site). By default the twin is built "
+        help="Finished rendered copy of the site (simulate --preset site). By default it is built "
         "from SCENE, whose photographs then need depth maps.",
     ),
 ]
@@ -76,10 +76,11 @@ def forecast(
 ) -> None:
     """Forecast where along a flight a method finds a fix, by season and light.
 
-    Renders views of the site's twin at every waypoint, localizes them in the map of SCENE, and
-    writes for each waypoint and season the probability of a fix, the expected sigmas and the risk
-    of a false fix: as a page, a picture, GeoJSON and JSON. An interrupted run goes on where it
-    stopped.
+    By default a fix is an answer within 0.5 m and 5 degrees. Renders views of a copy of the site
+    (its twin) at every waypoint, localizes them in the map of SCENE, and writes for each waypoint
+    and season the probability of a fix, the expected sigmas and the risk of a false fix (an answer
+    wrong by more than 5 m or 10 degrees): as a page, a picture, GeoJSON and JSON. An interrupted
+    run goes on where it stopped.
     """
     from benchmark.forecasting.command import forecast as run
     from benchmark.forecasting.config import forecast_config, forecast_hint

@@ -68,8 +68,8 @@ def leaderboard(
     file, with charts, paired comparisons and every query. The page also shows the small pictures
     of queries and the basins of convergence that evaluate and basin wrote into the same folders.
 
-    With --board, the queries of all places of a track are pooled by start, season and part of the
-    track.
+    With --board, the queries of all data sets of a benchmark track are pooled by starting
+    information, season and kind of site.
     """
     from benchmark.report.board.command import board as run_board
     from benchmark.report.leaderboard import leaderboard as run
@@ -126,7 +126,7 @@ def regress(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Compare results with recorded ones and exit with 1 if a figure dropped.
+    """Compare results with recorded ones and exit with 1 if a metric dropped.
 
     The figures are recall, and integrity: the shares of queries without a false fix, without an
     answer wrong by more than 1 m, and without one worse than its prior. A drop is a missing query,

@@ -122,7 +122,7 @@ ControlSigma = Annotated[
 ]
 
 
-# Options of ``ingest`` that belong to --pair, and those that are for photographs and for --pair.
+# Options of ``ingest`` for --pair alone, and options for both photographs and --pair.
 _PAIR_OPTIONS: Final = ("--pair", "--homography", "--dsm", "--undulation", "--residual", "--set")
 _SHARED_OPTIONS: Final = ("--out", "--json")
 
@@ -228,7 +228,7 @@ def export(
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="Session to export; repeat the option for several. By default all are exported.",
+            help="Flight (session) to export; repeat it for several. By default all are exported.",
         ),
     ] = None,
     resolution: Annotated[
@@ -237,7 +237,7 @@ def export(
             help="Pixel size of --format ortho, metres.",
             min=0.001,
             max=1000,
-            show_default="that of the photographs on the ground",
+            show_default="ground size of the photographs' pixels",
         ),
     ] = None,
     crs: Annotated[
@@ -302,7 +302,7 @@ def publish(
     scenes: Published,
     out: Annotated[
         Path,
-        typer.Option(metavar="DIR", help="New or empty folder; its name is that of the data set."),
+        typer.Option(metavar="DIR", help="New or empty folder; the data set gets its name."),
     ],
     layer: Layers = None,
     license_id: License = None,

@@ -1,4 +1,4 @@
-"""Commands that render scenes, the places of a track, and chessboards."""
+"""Commands that render scenes, the sites (*places*) of a benchmark track, and chessboards."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Sessions = Annotated[
         "several. FLIGHT is nadir, grid, oblique, corridor, free, street, plan=FILE (a plan of "
         "QGroundControl) or flown=SCENE (the poses of a scene's photographs). ROLE is map or "
         "query; by default the first flight builds the map and the others are queries. CHANGE "
-        "changes the place, such as "
+        "changes the site, such as "
         "cars_moved=0.3,objects_removed=0.1,objects_added=0.1,bare_trees=true.",
     ),
 ]
@@ -201,7 +201,7 @@ def track(
     sealed: KeyFile = None,
     as_json: Json = False,
 ) -> None:
-    """Render and map the places of a leaderboard track, or check its flights.
+    """Render and map the sites of a benchmark track, or check its flights.
 
     Prints one line per place: its digest, and whether the data set is the one behind the
     leaderboard's results. Places of the preset street are also exported in the layout of Extended

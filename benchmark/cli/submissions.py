@@ -69,11 +69,12 @@ def submit(
 
     The file of a data set of a track is part of a submission. The file of Extended CMU Seasons has
     the format of visuallocalization.net. The same command continues an interrupted run. A folder
-    holds the poses of one method, start and choice of options; others need another --out.
+    holds the poses of one method with one --start and one set of options; give another --out for
+    any other.
 
     Extended CMU Seasons takes no --start, and only it takes --pairs and --dry-run. --dry-run prints
     everything that is missing from the data set and the pairs, and what to do about it, and exits
-    with 2 if anything is.
+    with 2 if anything is missing.
     """
     from benchmark.datasets.open import reader_of, require_reader
     from benchmark.evaluation.starts import parse_start

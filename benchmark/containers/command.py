@@ -73,7 +73,7 @@ class Container:
     """A method in a container image.
 
     Attributes:
-        method: its record in the results: the digest of the image and the limits.
+        method: its description in results files: the digest of the image and the limits.
     """
 
     def __init__(self, image: str, name: str, limits: Limits) -> None:

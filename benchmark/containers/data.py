@@ -36,9 +36,9 @@ QUERIES: Final = "queries"
 CAMERAS: Final = "queries.txt"
 """Lines ``NAME MODEL WIDTH HEIGHT PARAMS...``, in the format of hloc."""
 PAIRS: Final = "pairs.txt"
-"""Lines ``QUERY REFERENCE``, if the start gives reference images."""
+"""Lines ``QUERY REFERENCE``, if the starting information names reference images."""
 PRIORS: Final = "priors.json"
-"""The prior of each query by its name, if the start gives priors; see ``_describe_prior``."""
+"""The prior of each query by its name, if methods get priors; see ``_describe_prior``."""
 
 
 def write_data(task: Task, start: Start, folder: Path) -> None:

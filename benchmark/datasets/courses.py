@@ -1,8 +1,8 @@
 """Courses: flights along the same path, whose queries are not independent samples.
 
-A flight is repeated under another condition, with a second camera, or over another rendered place
-of the same seed. Both flights then have the same heights, tilts and overlaps, and often show the
-same ground, so that the same photographs of each tend to fail.
+A flight is repeated under another condition, with a second camera, or over another rendered site
+with the same random seed. Both flights then have the same heights, tilts and overlaps, and often
+show the same ground, so that the same photographs of each tend to fail.
 """
 
 from __future__ import annotations

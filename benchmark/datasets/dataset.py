@@ -36,7 +36,7 @@ class TaskQuery:
     Attributes:
         name: unique within the data set.
         condition: season and light, or another property that divides the data set.
-        group: flight or drive that the query belongs to; errors within one are correlated.
+        group: flight or drive that the query belongs to; errors within a flight are correlated.
         camera: calibrated camera of the photograph.
         image: file of the photograph.
         prior: starting information, or None where the data set has none for this query.
@@ -128,7 +128,7 @@ class Dataset(Task):
 
     Attributes:
         unjudged: thresholds for which the reference poses are too inexact, such as ``0.25 m 2°``;
-            ``1 m`` is the bound of wrong answers.
+            ``1 m`` is the position error above which an answer counts as wrong.
     """
 
     queries: tuple[BenchmarkQuery, ...]
@@ -136,7 +136,7 @@ class Dataset(Task):
 
     @cached_property
     def courses(self) -> dict[str, str]:
-        """Course of each flight or drive by the group of its queries, see ``find_courses``."""
+        """Name of each flight's path (course) by the group of its queries, see ``find_courses``."""
         centres: dict[str, list[NDArray[np.float64]]] = {}
         for query in self.queries:
             centres.setdefault(query.group, []).append(query.reference.centre().numpy())

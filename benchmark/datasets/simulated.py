@@ -24,7 +24,7 @@ TRACK: Final = "uav-sim"
 
 
 def open_scene(path: Path) -> Dataset:
-    """Open a scene: its map, and the queries of every session.
+    """Open a scene: its map, and the queries of every session (a flight under one condition).
 
     Raises:
         InputError: the scene is not finished, has no map or no queries, or its lists contradict

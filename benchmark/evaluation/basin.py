@@ -66,7 +66,7 @@ DEFAULT_ERRORS: Final = tuple(
 
 
 class CourseCounts(Record):
-    """The queries of one course, and how many are correct by the key of a threshold."""
+    """The queries of one flight path (course), and how many are correct by threshold key."""
 
     queries: int = Field(ge=1, le=MAX_STORED)
     correct: dict[str, Count]
@@ -173,7 +173,7 @@ def parse_errors(text: str) -> tuple[PriorError, ...]:
 
 
 def basin_path(out: Path, dataset: Dataset, localizer: Localizer) -> Path:
-    """Return the path of the basin file of a method on a data set."""
+    """Return the path of the file of a method's basin of convergence on a data set."""
     return out / dataset.name / f"{localizer.name}{BASIN}"
 
 
@@ -196,7 +196,7 @@ def basin(
         cache: folder for data that the method keeps per map; None for a scratch folder in ``out``.
 
     Returns:
-        The basin that was written.
+        The measured recalls that were written.
 
     Raises:
         InputError: the map or a photograph is missing or damaged, or ``out`` cannot be written.

@@ -186,7 +186,7 @@ def check_evaluation_outputs(dataset: Dataset, localizer: Localizer, out: Path) 
 
 
 def available_start(start: Start, dataset: Task) -> Start:
-    """Return the start, or "none" where it is "prior" and no query of the data set has a prior."""
+    """Return the starting information; "none" for "prior" if no query of the data set has one."""
     if start.kind != "prior":
         return start
     missing = sum(query.prior is None for query in dataset.queries)

@@ -44,7 +44,7 @@ def score(
 
     Raises:
         InputError: the file cannot be read or has no pose, a pose belongs to no query, a query has
-            two poses, the start is unknown, the method is not a valid file name, or another
+            two poses, ``start`` is unknown, the method is not a valid file name, or another
             command wrote results of this name.
     """
     require_method_name(method)
@@ -84,7 +84,8 @@ def require_method_name(method: str) -> None:
     """Refuse a method name that is not a valid name for a results file.
 
     Raises:
-        InputError: the name is not a valid file name, or has the ending of basin files.
+        InputError: the name is not a valid file name, or ends like ``*.basin.json`` (basins of
+            convergence).
     """
     require_name(method, "method")
     if f"{method}.json".endswith(BASIN):

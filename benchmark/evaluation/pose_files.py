@@ -67,7 +67,9 @@ class PoseWriter:
     jobs: int = 1
 
     def require_same_run(self, path: Path, start: Start) -> None:
-        """Refuse to replace the poses, finished or not, of another method, start or option.
+        """Refuse to replace poses of another method, starting information or option.
+
+        This holds for finished and for unfinished files.
 
         Raises:
             InputError: the file or its journal holds such poses.

@@ -40,7 +40,7 @@ def score_query(
 
     Args:
         query: query with its reference pose.
-        course: course of its flight, see ``Dataset.courses``.
+        course: flight path that repeated flights share, see ``Dataset.courses``.
         estimate: answer of a method.
         sparse_map: map, for the height of the query above its points.
         seconds: wall-clock time of the method's call; None where it was not measured.

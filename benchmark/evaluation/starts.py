@@ -80,7 +80,7 @@ class Start:
 
         Raises:
             InputError: a query has no pair, a pair names a photograph that the map lacks, or the
-                start is made from reference poses and these are sealed.
+                start is made from reference poses and these are withheld.
         """
         self.require_references(dataset)
         if self.kind == "prior":
@@ -106,14 +106,14 @@ class Start:
         return TaskQuery.load
 
     def require_references(self, dataset: Task) -> None:
-        """Refuse a start that is made from reference poses where these are sealed.
+        """Refuse a start that is made from reference poses where these are withheld.
 
         Raises:
             InputError: the data set has no reference poses, and the start needs them.
         """
         if self.kind in ("error", "gravity", "gps") and not isinstance(dataset, Dataset):
             raise InputError(
-                f"start {self.name} is made from the reference poses, which are sealed in "
+                f"start {self.name} is made from the reference poses, which are withheld in "
                 f"{dataset.name}: use the start none, prior, retrieval or pairs"
             )
 

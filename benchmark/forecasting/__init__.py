@@ -1,1 +1,1 @@
-"""The command ``forecast``: where along a flight a method will find fixes, by season."""
+"""The command ``forecast``: where along a flight a method will find accurate poses, by season."""

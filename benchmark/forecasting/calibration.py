@@ -1,11 +1,12 @@
-"""Probability of a fix from views of a twin: pooled evidence and a logistic model.
+"""Probability of an accurate pose (*fix*) from views of a site's rendered copy (*twin*).
 
 A twin is not the site, and rendered snow is not the next winter's snow, so that the share of views
-with a fix is not yet a probability. A small logistic model turns the evidence around a waypoint
-into one. Its parameters were fitted to training towns (``experiments.forecast``) and regularized
-towards the smoothed share itself, which is the probability for methods without a calibration. A
-training town is rendered twice: as its twin made from summer views, and as the town itself in its
-own seasons. The renders of the town itself are the true queries.
+with a fix is not yet a probability. A small logistic model turns the results of views around a
+waypoint into a probability. Its parameters were fitted to training towns
+(``experiments.forecast``) and regularized towards the smoothed share itself, which is the
+probability for methods without a calibration. A training town is rendered twice: as its twin made
+from summer views, and as the town itself in its own seasons. The renders of the town itself are the
+true queries.
 """
 
 from __future__ import annotations

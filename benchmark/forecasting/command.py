@@ -53,9 +53,9 @@ def forecast(
 ) -> Forecast:
     """Forecast the fixes of a flight and write ``OUT/forecast.json``, .geojson, .png and .html.
 
-    Views of the site's twin are rendered at every waypoint in every season into ``OUT/views``, and
-    are localized in the map of the scene. An interrupted run goes on where it stopped, and a second
-    method reuses the views.
+    Views of a copy of the site (*twin*) are rendered at every waypoint in every season into
+    ``OUT/views``, and are localized in the map of the scene. An interrupted run goes on where it
+    stopped, and a second method reuses the views.
 
     Args:
         scene: scene with its map; without ``twin`` the map's photographs need depth maps.

@@ -38,7 +38,7 @@ class Observation(NamedRecord):
     """The answer to one view.
 
     Attributes:
-        name: photograph of the view, relative to the sessions of the views.
+        name: photograph of the view, relative to the folder ``sessions`` of the views.
         season: condition of the view.
         view: number of the view, from 0.
         waypoint: number of the waypoint, from 0.

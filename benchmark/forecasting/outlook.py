@@ -1,4 +1,4 @@
-"""Outlooks of waypoints, verdicts of seasons and GeoJSON, from the observations of all views."""
+"""Forecasts of waypoints and seasons, and GeoJSON, from the localization of rendered views."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def waypoints_of(
     config: ForecastConfig,
     calibration: Calibration,
 ) -> tuple[Waypoint, ...]:
-    """Return every waypoint with its outlook in every season.
+    """Return every waypoint with its forecast (``Outlook``) in every season.
 
     Args:
         observations: answers to all views.

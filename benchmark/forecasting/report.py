@@ -152,7 +152,7 @@ class Forecast(Record):
         scene_sha256: digest of its map.
         flight: name of the mission plan, or the flight of ``simulate``.
         flight_sha256: digest of the mission plan; None for other flights.
-        twin: name of the given twin; None if it was built from the scene.
+        twin: name of the given rendered copy of the site; None if it was built from the scene.
         method: the method and its configuration.
         config: options of the forecast.
         calibration: calibration of the probabilities.

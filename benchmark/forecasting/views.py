@@ -1,4 +1,4 @@
-"""The rendered views of a forecast: the site's twin, seen along a flight in every season."""
+"""The views of a forecast: the site's rendered copy (*twin*) along a flight in every season."""
 
 from __future__ import annotations
 

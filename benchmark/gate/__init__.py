@@ -1,1 +1,1 @@
-"""The scenes of the regression gate, which come with the package."""
+"""Small data sets for regression tests of recall (the *gate*), which come with the package."""

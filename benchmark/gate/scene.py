@@ -19,7 +19,7 @@ GATE_SCENES: Final = {name: Path(__file__).with_name(name) for name in _NAMES}
 
 
 def gate_scene(out: Path, name: str = "gate") -> Path:
-    """Copy a scene of the regression gate to a new folder.
+    """Copy a data set of the regression tests to a new folder.
 
     Every copy has the same digest, so results on different machines can be compared.
 

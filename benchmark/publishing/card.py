@@ -22,7 +22,7 @@ CARD: Final = "README.md"
 # The hub's size classes: (upper bound of the number of rows, name of the class).
 _SIZES: Final = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"))
 _LARGEST: Final = "100K<n<1M"
-# Commands that use a published folder, and a sealed one.
+# Commands that use a published folder, with query poses and without them (*sealed*).
 _USE: Final = """objconnect evaluate FOLDER --method sift --out RESULTS
 objconnect leaderboard RESULTS"""
 _SEALED_USE: Final = "objconnect submit FOLDER --method sift --out SUBMISSION"

@@ -52,7 +52,8 @@ def publish(
         layers: dense layers to publish with the photographs, keys of ``LAYERS``.
         release: the publisher's statements on the data set.
         dry_run: whether to write nothing and to report the bytes.
-        sealed: whether to leave out the poses of the queries and all that reveals them.
+        sealed: whether to leave out the poses of the queries and all data that reveal them. Only
+            scenes that were rendered from a secret key can be sealed.
 
     Raises:
         InputError: a path is neither a scene nor a flight, one lacks a map, a query or a layer, a

@@ -64,7 +64,7 @@ class PublishedScene(Provenance):
 
     Attributes:
         name: name of the scene and of its data set.
-        track: track of its data set, see ``benchmark.datasets.dataset.Dataset``.
+        track: kind of its data set, see ``benchmark.datasets.dataset.Dataset``.
         sha256: digest of its data set.
         map_conditions: conditions of the map's photographs.
         unjudged: thresholds for which its reference poses are too inexact.

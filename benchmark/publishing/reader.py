@@ -50,13 +50,13 @@ class PublishedReader:
 
         Raises:
             InputError: a file is missing, damaged or was changed, the address cannot be read, or
-                the poses of the queries are sealed.
+                the poses of the queries are withheld.
         """
         folder = _folder(path)
         published = read_index(folder)
         if published.sealed:
             raise InputError(
-                f"the query poses of {path} are sealed, so it cannot be scored here: 'objconnect "
+                f"the query poses of {path} are withheld, so it cannot be scored here: 'objconnect "
                 "submit' writes the poses of a method, and the organiser scores them"
             )
         return [_open(folder, scene) for scene in published.scenes]
@@ -66,7 +66,7 @@ READER: Final = PublishedReader()
 
 
 def is_sealed(path: Path) -> bool:
-    """Return whether a path is a published folder whose query poses are sealed.
+    """Return whether a path is a published folder whose query poses are withheld.
 
     Raises:
         InputError: the list of scenes is damaged, or the address cannot be read.
@@ -75,7 +75,7 @@ def is_sealed(path: Path) -> bool:
 
 
 def open_sealed(path: Path) -> list[Task]:
-    """Open every scene of a published folder whose query poses are sealed.
+    """Open every scene of a published folder whose query poses are withheld.
 
     Raises:
         InputError: a file is missing, damaged or was changed, or the address cannot be read.

@@ -33,11 +33,11 @@ _MEASURED: Final = ("time", "gps_prior", "gps_sigma", "attitude_prior", "attitud
 
 @dataclass(frozen=True)
 class FrameRow:
-    """The place of a photograph in the lists of its scene.
+    """The position of a photograph in the lists of its scene.
 
     Attributes:
         name: name of the photograph.
-        session: its session.
+        session: the flight that took it.
         row: its row in the session's frames.
     """
 

@@ -28,7 +28,8 @@ from objconnect.scene.flights.origin import read_origin
 from objconnect.scene.storage.files import require_distinct
 
 OBJECTS: Final = "objects.json"
-# Options of a sealed scene that its description needs. The flights cannot be computed from them.
+# Options that are published for a scene with withheld query poses (*sealed*). The flights cannot be
+# computed from them.
 _PUBLIC_OPTIONS: Final = ("size", "spp", "site")
 _NO_KEY: Final = (
     "its poses do not depend on a key: 'objconnect track --sealed KEYFILE' renders scenes that can "

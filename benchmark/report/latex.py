@@ -29,7 +29,7 @@ _ESCAPED: Final = str.maketrans(
 
 
 def latex(tables: Sequence[Table], lines: Sequence[Line], note: str) -> str:
-    """Return the leaderboard, and the paper's table with our figures, as floating tables."""
+    """Return the leaderboard, and the object-connect paper's table with ours, as LaTeX tables."""
     parts = [
         r"% \usepackage{booktabs} and \usepackage{textcomp} in the preamble.",
         "% Recall in % of all listed queries, with its 95 % interval as a subscript; " + BY_COURSE,

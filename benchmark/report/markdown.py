@@ -60,7 +60,7 @@ def markdown(tables: Sequence[Table]) -> str:
 
 
 def paper_markdown(lines: Sequence[Line], note: str, headings: Sequence[str] = columns()) -> str:
-    """Return the paper's table with our figures as Markdown."""
+    """Return Table I of the object-connect paper with our results as Markdown."""
     header = ["method", "source", *headings]
     text = ["", f"## {TITLE}", "", note, "", line(header)]
     text.append(line(["---", "---", *["--:"] * (len(header) - 2)]))

@@ -265,8 +265,8 @@ def compare_paired(
 ) -> dict[str, Any]:
     """Return the change of recall between two runs on the same queries, as a page shows it.
 
-    The interval and p are by course, and None with one course. The interval is at least as wide as
-    one for independent queries: the variance between courses is 0 if all courses change equally.
+    The interval and p treat courses (flight paths) as units; None with one course. The interval is
+    at least as wide as for independent queries: courses that change equally have no variance.
 
     Args:
         before: whether each query is correct in the first run.

@@ -41,7 +41,7 @@ class TableCell:
     """The recall at 0.5 m, 5° in percent.
 
     The paper states neither intervals nor numbers of queries; they are None in its cells. A cell of
-    this project has no interval where all queries are of one course.
+    this project has no interval where all queries are of one flight path (course).
     """
 
     value: float

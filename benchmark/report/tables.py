@@ -52,7 +52,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Group:
-    """Runs that can be compared: on the same data set, bit for bit, and from the same start."""
+    """Runs that can be compared: on an identical data set, with the same starting information."""
 
     track: str
     dataset: str
@@ -80,7 +80,7 @@ class Row:
 class Table:
     """The table of a group.
 
-    ``declared`` are the methods whose start a user declared to ``score``, which nothing verifies.
+    ``declared`` are methods whose starting information a user stated, which nothing verifies.
     ``unjudged`` are the thresholds for which the reference poses are too inexact.
     """
 
@@ -108,7 +108,7 @@ class Table:
 
 
 def groups(results: Sequence[Path]) -> list[Group]:
-    """Group results by track, data set and start.
+    """Group results by track, data set and starting information.
 
     Args:
         results: results files, or folders of them.

@@ -46,7 +46,7 @@ from objconnect.scene.storage.outputs import OutputFile, check_outputs
 from objconnect.scene.storage.provenance import PNG_MARK
 
 LANDMARK_RGB: Final = np.array([178, 120, 255], np.uint8)
-"""The colour of landmarks."""
+"""The colour of landmarks, the objects that the command ``landmarks`` finds in a map."""
 PAGE = Path("pictures", "view.html")
 PICTURE = Path("pictures", "view.png")
 MOST_POINTS: Final = {"sparse": 150_000, "added": 20_000, "landmarks": 20_000, "dense": 250_000}

@@ -58,7 +58,7 @@ class QueryEstimate:
         error: distance between the two, metres; None without a pose.
         angle: rotation error, degrees; None without a pose.
         status: value of ``objconnect.scene.localizer.Status``.
-        found: whether the status is ok and the pose is not a false fix.
+        found: whether the status is ok and the errors are at most 5 m and 10 degrees.
     """
 
     name: str

@@ -1,6 +1,6 @@
-"""The errors of priors that follow from the name of a start.
+"""The errors of priors, as the name of the starting information (``--start``) states them.
 
-The starts ``error=3m,5deg`` and ``gps=50m`` give each query a position with an error of exactly
+``--start error=3m,5deg`` and ``gps=50m`` give each query a position with an error of exactly
 this size, so that the error is known, although files of earlier versions and submissions lack it.
 """
 

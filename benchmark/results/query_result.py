@@ -33,8 +33,8 @@ class QueryResult(NamedRecord):
         name: name of the photograph.
         condition: condition that it was taken under.
         group: flight or drive that it belongs to.
-        course: course of that flight; flights of one course are not independent. None in files of
-            earlier versions, where every group counts as a course of its own.
+        course: path of that flight; flights along the same path are not independent. None in files
+            of earlier versions, where every group counts as a course of its own.
         altitude_m: height of the reference position above the map's points, metres.
         status: status of the estimate.
         reason: why the status is not ``ok``.

@@ -19,7 +19,7 @@ from objconnect.scene.storage.listing import list_files
 from objconnect.scene.storage.outputs import check_outputs, foreign_file_error
 from objconnect.scene.storage.packed import XZ_MAGIC, XZ_SUFFIX, unpack
 
-# Ending of basin files, which lie beside results but are not results; see ``evaluation.basin``.
+# Ending of files of basins of convergence (``evaluation.basin``), which lie beside results.
 BASIN: Final = ".basin.json"
 
 # Ending of compact results files; see ``benchmark.tracks.compact``.

@@ -1,4 +1,4 @@
-"""The comparison of two runs on the same queries, where queries of one course fail together.
+"""The comparison of two runs, where queries along one flight path (*course*) fail together.
 
 The interval treats the courses as a sample of all courses, see ``intervals.mean_interval``. The
 permutation test exchanges the two runs course by course.

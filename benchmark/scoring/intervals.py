@@ -1,4 +1,4 @@
-"""Intervals of shares and means of queries, where queries of one course tend to fail together.
+"""Intervals of shares and means, where queries of one flight path (*course*) fail together.
 
 Photographs of one course share light, weather, height, tilt and the ground below. An interval that
 treats them as independent is too narrow. If the recalls of 14 courses of 200 queries each have a

@@ -68,7 +68,7 @@ class OutcomeWithPrior(Outcome, Protocol):
 
 
 class ClusteredOutcome(Outcome, Protocol):
-    """A scored query with its course; errors of queries of one course are correlated."""
+    """A scored query with its flight path (course), along which errors are correlated."""
 
     @property
     def course_name(self) -> str: ...

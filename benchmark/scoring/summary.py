@@ -1,4 +1,4 @@
-"""Figures of a set of queries: recall, errors, uncertainty, seconds."""
+"""Metrics of a set of queries: recall, errors, uncertainty, seconds."""
 
 from __future__ import annotations
 
@@ -28,9 +28,10 @@ _BAND_M = 30
 
 
 class Percentage(Record):
-    """A percentage of queries with the ends of its 95 % interval by course, in percent.
+    """A percentage of queries with the ends of its 95 % interval, in percent.
 
-    The ends are None where all queries are of one course.
+    The interval treats flight paths (courses) as independent, not queries. The ends are None where
+    all queries are of one course.
     """
 
     value: float

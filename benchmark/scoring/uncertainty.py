@@ -36,7 +36,7 @@ class Consistency(NamedTuple):
     Attributes:
         queries: number of localized queries with a covariance.
         mean: mean normalised estimation error squared (NEES); 6 if the covariances are right.
-        ends: 95 % interval of the mean by course, at least 0; None with one course.
+        ends: 95 % interval of the mean by course (flight path); None with one course.
         median: median NEES; 5.35 if the covariances are right.
         within_95: percentage of errors inside the 95 % ellipsoid, with its interval by course.
     """

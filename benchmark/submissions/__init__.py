@@ -1,1 +1,1 @@
-"""Submissions to the leaderboard: poses that others computed, with a card."""
+"""Submissions to the leaderboard: poses that others computed, with a description (card)."""

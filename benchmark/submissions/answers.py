@@ -1,6 +1,7 @@
 """Write the poses that a method finds into the files of a submission.
 
-Reference poses are not needed, so that a method can be run on the public half of sealed scenes.
+Reference poses are not needed, so that a method can be run on scenes that are published without
+query poses (*sealed*).
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ class AnswersReport:
 
 
 def open_tasks(path: Path) -> list[Task]:
-    """Open the data sets of a path; the poses of their queries may be sealed.
+    """Open the data sets of a path; the poses of their queries may be withheld.
 
     Raises:
         InputError: for the reasons of ``open_datasets`` and ``open_sealed``.
@@ -94,7 +95,7 @@ def write_answers(
     on where it stopped.
 
     Args:
-        path: data set, or published folder, also one whose query poses are sealed.
+        path: data set, or published folder, whose query poses may be withheld.
         localizer: method to run.
         out: folder of the submission.
         start: information on each query that the method gets besides its image.
@@ -103,7 +104,7 @@ def write_answers(
 
     Raises:
         InputError: a file of the data set is missing, damaged or changed during the run, the start
-            needs poses that are sealed, or ``out`` cannot be written or holds poses of another
+            needs poses that are withheld, or ``out`` cannot be written or holds poses of another
             method, start or option.
     """
     tasks = open_tasks(path)

@@ -1,7 +1,7 @@
 """Scoring of submissions against the reference poses that a track keeps.
 
-The track's records of its renders hold the poses of all photographs, so that no scene has to be
-rendered. The poses are rounded to micrometres, which changes no score.
+A track stores the poses of all photographs of each rendered scene, so that no scene has to be
+rendered again. The poses are rounded to micrometres, which changes no score.
 """
 
 from __future__ import annotations

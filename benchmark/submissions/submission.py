@@ -1,4 +1,4 @@
-"""A submission to a track: the folder ``<track>/submissions/<name>/``.
+"""A submission to a benchmark track: the folder ``<track>/submissions/<name>/``.
 
 It holds ``card.yaml`` and one file of poses for each data set, ``poses/<dataset>.txt``, with hloc's
 lines ``name qw qx qy qz tx ty tz`` (world to camera, metres).

@@ -1,1 +1,1 @@
-"""Tracks: data sets of places that are alike, rendered or real, with the results of all methods."""
+"""Benchmark tracks: data sets of similar sites, rendered or real, with results of all methods."""

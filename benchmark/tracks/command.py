@@ -1,4 +1,4 @@
-"""The command ``track``, which prepares the places of a track and checks their digests."""
+"""The command ``track``, which prepares the sites (*places*) of a track and checks digests."""
 
 from __future__ import annotations
 
@@ -54,7 +54,8 @@ class PlaceReport:
         recorded_digests: digests of the renders that the track records; empty if it records none.
         difference: how this render differs from the recorded one by more than rounding; empty if it
             does not.
-        public_sha256: digest of the public half of a sealed place; None for other places.
+        public_sha256: digest of what is published of a place with withheld query poses (*sealed*);
+            None for other places.
     """
 
     dataset: str

@@ -1,8 +1,8 @@
-"""The description of a track: its places, starts and methods.
+"""The description of a benchmark track: its places, starting information and methods.
 
 A track is the folder ``benchmark/tracks/<track>/``. This module reads its ``track.yaml``. Beside
-it, ``renders/`` holds records of the renders, ``queries/`` the queries with their difficulty, and
-``results/`` the stored results.
+it, ``renders/`` holds poses and brightness of the rendered photographs, ``queries/`` the queries
+with their difficulty, and ``results/`` the stored results.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ class TrackPlace(Record):
     Attributes:
         dataset: name of its folder and of the data set.
         preset: kind of a rendered place; None for a flight.
-        seed: random seed of a rendered place; None for a flight, and for a sealed place, whose seed
-            is derived from a key (``benchmark.tracks.sealing``).
+        seed: random seed of a rendered place; None for a flight, and for a place with withheld
+            query poses (sealed), whose seed is derived from a key (``benchmark.tracks.sealing``).
         renders: digests of the data set. A rendered one has one for each kind of machine; the
             renders differ by rounding only (``benchmark.tracks.renders``). Empty before it is
             recorded.

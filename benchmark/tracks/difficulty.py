@@ -57,7 +57,10 @@ class Difficulty(NamedTuple):
 
 
 class QueryRow(NamedTuple):
-    """A row of ``queries/<dataset>.csv``: a query and its difficulty."""
+    """A row of ``queries/<dataset>.csv``: a query and its difficulty.
+
+    ``part`` is the kind of surroundings, such as a park.
+    """
 
     name: str
     condition: str

@@ -1,4 +1,4 @@
-"""The record of a place's render, with which renders of other machines are compared.
+"""Short descriptions (*records*) of rendered scenes, to compare renders of different machines.
 
 Renders differ in single bits between kinds of processors and versions of libraries, so that their
 digests differ. The record describes each photograph by few numbers: its camera, its pose and the
@@ -40,7 +40,7 @@ _MAP_SHARE: Final = 0.02
 
 
 def render_path(folder: Path, dataset: str) -> Path:
-    """Return the file of the record of a place's render in the folder of its track."""
+    """Return the file, in the folder of a track, that describes the render of a data set."""
     return folder / "renders" / f"{dataset}.json{XZ_SUFFIX}"
 
 
@@ -61,7 +61,7 @@ class RenderedFrame(Record):
 
 
 class Render(Record):
-    """The record of a rendered and mapped place: all its frames, and the size of its map."""
+    """The record of a rendered and mapped scene: all its frames, and the size of its map."""
 
     frames: tuple[RenderedFrame, ...] = Field(min_length=1)
     map_points: int = Field(ge=0)

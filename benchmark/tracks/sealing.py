@@ -1,4 +1,6 @@
-"""Seeds of sealed places, which follow from a key that only the organiser has.
+"""Random seeds of rendered sites with withheld query poses (*sealed places*).
+
+The seeds follow from a key that only the organiser of the benchmark has.
 
 The code, the configuration and the map of a sealed place are public. Anyone who knew its seed could
 plan the same flights, and so compute the poses of the queries.

@@ -1,7 +1,7 @@
-"""Make a new scene of a finished scene and more photographs.
+"""Make a new scene (a folder with photographs, poses and a map) from a scene and more photographs.
 
 The finished scene is not changed, so that results on it stay valid. The new scene has the same
-frames, bit by bit, and the new photographs as a session of their own.
+frames, bit by bit, and the new photographs as a session (flight) of their own.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ _ROUNDING: Final = 1e-9
 
 @dataclass(frozen=True)
 class _Source:
-    """The inputs of a run: a finished scene, and the new photographs with their record.
+    """The inputs of a run: a finished scene, new photographs, and a record of inputs and options.
 
     Attributes:
         base: the scene that photographs are added to.

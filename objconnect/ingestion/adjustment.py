@@ -37,8 +37,8 @@ _MAX_COMMON_DIRECTION: Final = 0.8
 # Principal points are refined only where this reduces the reprojection error by more than this
 # share. Otherwise errors of GPS would move them.
 _MIN_GAIN: Final = 0.002
-# Maximum number of estimates of the delay. Each one moves the camera centres, and so changes the
-# velocities that the next estimate uses.
+# Maximum number of estimates of the delay of GPS behind the photographs. Each one moves the camera
+# centres, and so changes the velocities that the next estimate uses.
 _MAX_DELAY_ESTIMATES: Final = 3
 
 

@@ -1,4 +1,4 @@
-"""The command ``ingest``: make a scene from photographs; resume interrupted runs."""
+"""The command ``ingest``: make a scene (poses and a map) from photographs, or resume a run."""
 
 from __future__ import annotations
 

@@ -20,8 +20,8 @@ Array = NDArray[np.float64]
 _Fit = Callable[[Array, Array], Array]
 
 BLUNDER_SIGMAS: Final = 5.0
-"""A fix is an outlier if its residual exceeds this many standard deviations of the others, and the
-usual error. The factor is large because drift makes the tails of a receiver's errors long."""
+"""A fix is an outlier if its residual exceeds this many standard deviations of the others, and
+``USUAL_ERROR_M``. The factor is large because drift makes the tails of a receiver's errors long."""
 
 USUAL_ERROR_M: Final = 5.0
 """Usual error (m) of receivers without RTK. Fixes with smaller residuals are not outliers."""
@@ -33,7 +33,7 @@ MIN_SIGMA_M: Final = 0.02
 # sample of three is right is (7/8)^500, about 1e-29.
 _SAMPLES: Final = 500
 # Minimum ratio of the width of a flight to its length. The positions of a narrower flight do not
-# determine the rotation about its course.
+# determine the rotation about its direction.
 _MIN_WIDTH: Final = 0.05
 # GPS altitudes are rejected if ground and cameras agree with each other, and differ by more than
 # this from the vertical of GPS.

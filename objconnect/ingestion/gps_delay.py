@@ -19,8 +19,8 @@ from objconnect.ingestion.split import flight_lines
 
 Array = NDArray[np.float64]
 
-# Significance level of the permutation test: the largest share of line reversals that may explain
-# the positions as well as the true courses do.
+# Significance level of the permutation test: the largest share of line reversals that may fit the
+# positions as well as the true flight directions do.
 _MAX_CHANCE: Final = 0.05
 # Up to this many lines, all reversals are tested. For more lines, two to the power of this
 # many reversals are drawn at random.

@@ -8,7 +8,7 @@ from objconnect.scene.config import Config
 
 
 class IngestOptions(Config):
-    """Options of ``ingest``, which the manifest of the scene records."""
+    """Options of ``ingest``, which ``scene.json`` of the scene records."""
 
     nearest: int = Field(
         12, ge=0, description="Number of nearest photographs by GPS with which each one is matched."
@@ -33,7 +33,8 @@ class IngestOptions(Config):
     receiver_height_sigma_m: float = Field(
         6.6,
         ge=0,
-        description="The same standard deviation of the height, m: 13 m for 95 % of positions.",
+        description="Standard deviation of the GPS error in height that all positions of a flight "
+        "share, m. The default corresponds to 13 m for 95 % of positions.",
     )
     height_datum_sigma_m: float = Field(
         30.6,

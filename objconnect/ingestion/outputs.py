@@ -1,4 +1,4 @@
-"""Write the files of an ingested scene: frames, map, split and covisibility."""
+"""Write the files of an ingested scene: frames, map, split into map and queries, covisibility."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from objconnect.scene.storage.atomic import atomic_folder
 from objconnect.scene.storage.digests import digests_in
 
 FRAMES = "frames.h5"
-"""The file of poses, cameras and priors in the folder of a session."""
+"""The file of poses, cameras and priors (measured poses) in the folder of a session (flight)."""
 
 COVISIBILITY_POINTS: Final = 200
 """Number of points of each photograph on which covisibility is measured, to a few percent."""
@@ -46,7 +46,7 @@ def write_measurements(
     fixes: Mapping[str, NDArray[np.float64]],
     queries: set[str],
 ) -> dict[str, float]:
-    """Write the poses of the model and the measurements of its photographs.
+    """Write the poses of the model and the GPS positions and attitudes of its photographs.
 
     The sigmas are measured on the map photographs, or on the queries if only these have fixes.
 
@@ -158,7 +158,7 @@ def write_lists(
     images: Sequence[FlightImage],
     queries: set[str],
 ) -> None:
-    """Write the split, an empty list of objects and the covisibility of the photographs.
+    """Write the list of queries, an empty list of objects and the covisibility of the photographs.
 
     Covisibility is measured on at most ``COVISIBILITY_POINTS`` points of each photograph.
     """

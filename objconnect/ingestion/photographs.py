@@ -25,7 +25,7 @@ from objconnect.scene.storage.listing import list_files
 log = logging.getLogger(__name__)
 
 SESSION = "flight"
-"""Name of the session of ingested photographs."""
+"""Name of the session (flight) of ingested photographs."""
 
 _ENDINGS = (".jpg", ".jpeg")
 # Initial relative focal length f / max(w, h) of images without one in EXIF; COLMAP's default.

@@ -24,7 +24,7 @@ def draw(
     queries: Collection[str],
     fixes: Mapping[str, NDArray[np.float64]],
 ) -> None:
-    """Draw points and cameras from above with an arrow to each fix, and the residuals over time.
+    """Draw points and cameras from above, arrows to their GPS positions, and residuals over time.
 
     Args:
         path: path of the PNG.

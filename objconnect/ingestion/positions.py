@@ -144,7 +144,7 @@ def local_positions(
 
 
 def _require_altitudes(known: Mapping[str, Geodetic]) -> None:
-    """Refuse positions of which none has an altitude; warn where only some have one."""
+    """Refuse positions if none has an altitude; warn if only some have one."""
     with_altitude = sum(not math.isnan(place.altitude) for place in known.values())
     if with_altitude == 0:
         raise InputError(

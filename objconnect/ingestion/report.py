@@ -1,4 +1,4 @@
-"""The report of ``ingest``: figures of a scene made from photographs."""
+"""The report of ``ingest``: statistics of a scene made from photographs."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ REPORT = Path("ingest.json")
 
 # Maximum number of lines in the text for each kind of reason.
 _MAX_LINES = 6
-# A median distance of GPS from the cameras above this (m) gets a remark.
+# A median distance of GPS from the cameras above this (m) is reported as a contradiction.
 _FAR_FROM_GPS_M = 30.0
 
 
 class Residuals(BaseModel):
-    """Statistics of the absolute distances between cameras and their fixes, metres.
+    """Statistics of the absolute distances between cameras and their GPS fixes, metres.
 
     Vertical values cover the fixes with an altitude; they are None if no fix has one.
     """
@@ -41,7 +41,7 @@ class Residuals(BaseModel):
     vertical_rms: float | None
 
     def text(self) -> str:
-        """Return the figures as text."""
+        """Return the statistics as text."""
         horizontal = f"{self.horizontal_median:.2f} m median, {self.horizontal_rms:.2f} m rms"
         if self.vertical_median is None or self.vertical_rms is None:
             return f"horizontal {horizontal}; vertical unknown"
@@ -61,7 +61,7 @@ class Lens(BaseModel):
 
 
 class IngestReport(BaseModel):
-    """Figures of an ingested flight.
+    """Statistics of an ingested flight.
 
     Attributes:
         photographs: number of JPEGs in the folder.
@@ -83,8 +83,9 @@ class IngestReport(BaseModel):
         map_images: number of map photographs.
         map_points: number of points of the map, triangulated from the map photographs alone.
         control: ground control points, in the order of their list.
-        kept: number of frames of the scene that photographs were added to; 0 without one. Figures
-            of points, map and queries then cover the whole scene, the others the new photographs.
+        kept: number of frames of the scene that photographs were added to; 0 without one. The
+            values of points, map and queries then cover the whole scene, the others the new
+            photographs.
         georeference: accuracy of the scene's position on earth; None if unknown.
     """
 
@@ -153,7 +154,7 @@ class IngestReport(BaseModel):
 
 
 def gps_remark(level: str, gps: Residuals | None) -> list[str]:
-    """Return a remark where GPS contradicts the ground control points or the imported poses."""
+    """Return a warning where GPS contradicts the ground control points or the imported poses."""
     if gps is None or level not in ("control", "given"):
         return []
     medians = {"horizontally": gps.horizontal_median, "in height": gps.vertical_median}

@@ -71,7 +71,7 @@ def open_unfinished(out: Path, record: RunRecord) -> ResumableFolder:
 
 
 def is_finished(out: Path, record: RunRecord) -> bool:
-    """Return whether the scene of a record in a folder is finished; refuse any other content."""
+    """Return whether a folder holds the finished scene of a record; refuse other content."""
     unfinished = open_unfinished(out, record)
     if (out / MANIFEST).is_file():
         if read_run_record(Scene.open(out).manifest) != record:
@@ -92,7 +92,7 @@ def is_finished(out: Path, record: RunRecord) -> bool:
 
 
 def flight_manifest(record: RunRecord, origin: Geodetic, session: str) -> Manifest:
-    """Return the manifest of a scene of one flight, without digests."""
+    """Return the manifest (``scene.json``) of a scene of one flight, without digests."""
     return Manifest(
         versions={n: version(n) for n in ("objconnect", "pycolmap", "numpy", "pillow", "h5py")},
         preset=None,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from objconnect.scene.errors import InputError
 
 Split = Literal["photo", "line", "none"]
-# A flight line ends where the course turns by more than this. Wind turns it by less.
+# A flight line ends where the flight direction turns by more than this. Wind turns it by less.
 _LINE_TURN_DEG: Final = 40.0
 
 
@@ -54,8 +54,8 @@ def flight_lines(
 ) -> list[int]:
     """Return the number of the flight line of each photograph.
 
-    A line ends where the course turns. A photograph without a fix belongs to the line of the
-    preceding photograph.
+    A line ends where the flight direction turns. A photograph without a fix belongs to the line
+    of the preceding photograph.
     """
     known = [name for name in names if name in fixes]
     course: NDArray[np.float64] | None = None
@@ -67,7 +67,7 @@ def flight_lines(
             direction = step / length
             if course is not None and course @ direction < np.cos(np.radians(_LINE_TURN_DEG)):
                 line += 1
-                course = None  # the step from one line to the next has the course of neither
+                course = None  # the step from one line to the next has the direction of neither
             else:
                 course = direction
         line_of[name] = line

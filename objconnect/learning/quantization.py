@@ -61,7 +61,7 @@ def require_quantizable(network: nn.Module) -> None:
 
     Raises:
         InputError: the network is not on the CPU, the CPU has no VNNI, or the network has a decoder
-            other than the U-Net, or objects.
+            other than the U-Net, or features that depend on objects.
     """
     if any(each.device.type != "cpu" for each in network.parameters()):
         raise InputError("quantized=true runs on the CPU only: give device=cpu too")
@@ -72,7 +72,10 @@ def require_quantizable(network: nn.Module) -> None:
             "quantized=true needs a network with a U-Net decoder: give quantized=false"
         )
     if any(name.startswith("objects_of.") for name, _ in network.named_modules()):
-        raise InputError("quantized=true supports no network with objects: give quantized=false")
+        raise InputError(
+            "quantized=true needs a network whose features do not depend on objects: give "
+            "quantized=false"
+        )
 
 
 def quantize(network: NetworkT, scales: Channelwise, strides: Sequence[int]) -> NetworkT:

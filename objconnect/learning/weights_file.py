@@ -23,7 +23,7 @@ def find_weights(path: Path) -> Path:
             address of such a folder, ``hf://OWNER/NAME@COMMIT``.
 
     Raises:
-        InputError: the address cannot be read, or the folder is not one that was published, or a
+        InputError: the address cannot be read, ``publish-weights`` did not write the folder, or a
             file in it is missing or was changed.
     """
     if is_address(path):

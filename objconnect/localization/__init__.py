@@ -1,1 +1,1 @@
-"""The engine: features, matching, alignment, coarse search, tracking and the ``localize`` job."""
+"""Localization: features, matching, alignment, coarse search, tracking and ``localize``."""

@@ -28,7 +28,7 @@ class Method(Record):
 
     @staticmethod
     def of(localizer: Localizer) -> Method:
-        """Return the record of a localizer."""
+        """Return the description of a localizer."""
         return Method(
             name=localizer.name,
             config=localizer.config.model_dump(mode="json"),
@@ -38,7 +38,7 @@ class Method(Record):
 
     @staticmethod
     def external(name: str, poses_sha256: str) -> Method:
-        """Return the record of another program, whose configuration is unknown."""
+        """Return the description of another program, whose configuration is unknown."""
         return Method(name=name, config={_POSES: poses_sha256}, weights_sha256=None)
 
     @property

@@ -1,1 +1,1 @@
-"""Build, measure, diagnose and supplement sparse maps; reconstruct dense depth."""
+"""Build and diagnose sparse maps, add points on small objects, reconstruct dense depth."""

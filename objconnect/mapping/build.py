@@ -45,7 +45,7 @@ def build_map(
     cluster: str | None = None,
     options: MapOptions = _DEFAULTS,
 ) -> MapReport:
-    """Build the map of a finished scene from its map frames, and record it in the manifest.
+    """Build the map of a finished scene from its map frames, and record it in ``scene.json``.
 
     The model is in world metres, and its features are stored beside it. An existing map is replaced
     when the new one is complete. After an interruption, a second call reuses the finished features

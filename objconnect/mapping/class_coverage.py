@@ -24,7 +24,7 @@ KINDS = ("ground", "buildings", "vegetation", "other things")
 
 @dataclass(frozen=True)
 class KindShare:
-    """Shares (0 to 1) of a kind of surface in map frames' pixels and keypoints, and map points."""
+    """Shares (0 to 1) of a kind of surface in map photographs' pixels and keypoints, and points."""
 
     pixels: float
     keypoints: float
@@ -39,7 +39,7 @@ def class_coverage(
     A keypoint has the kind of its pixel, and a point the most frequent kind of its observations.
 
     Args:
-        scene: scene with a semantic layer.
+        scene: scene with semantic images, which give the class of each pixel.
         sparse_map: map of the scene.
         features: features of the map's photographs, by name.
 

@@ -20,8 +20,8 @@ class MapOptions(Config):
     max_neighbours: int = Field(
         20,
         ge=1,
-        description="Maximum number of photographs with which each photograph is matched, those of "
-        "largest overlap; further photographs that choose it in turn are not counted.",
+        description="Maximum number of photographs with which each photograph is matched, by "
+        "decreasing overlap. Pairs that only the other photograph chose are not counted.",
     )
     following: int = Field(
         4,

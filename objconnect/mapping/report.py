@@ -42,7 +42,7 @@ class MapReport:
     """Statistics of a map.
 
     Attributes:
-        images: number of map frames.
+        images: number of photographs chosen for the map.
         registered: number of frames in the map.
         pairs: number of pairs of photographs that were matched.
         points: number of triangulated points.

@@ -1,4 +1,4 @@
-"""The localizer ``place``: the best candidate of the coarse search, without alignment."""
+"""The localizer ``place``: the best candidate of the coarse search of a map, without alignment."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ class CoarseLocalizerConfig(NetworkOptions):
     precision: Precision = Field(
         "auto", validate_default=True, description="Precision of the convolutions."
     )
-    place: CoarseSearchOptions = Field(CoarseSearchOptions(), description="Search of the map.")
+    place: CoarseSearchOptions = Field(
+        CoarseSearchOptions(), description="Coarse search of the map."
+    )
 
 
 class CoarseLocalizer:

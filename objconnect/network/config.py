@@ -1,4 +1,4 @@
-"""Configuration of the object-connect network. Equations are numbered as in the paper."""
+"""Configuration of the object-connect network. Equations are numbered as in its paper."""
 
 from __future__ import annotations
 

@@ -3,9 +3,9 @@
 ``python -m objconnect.network.constellation_training SCENE... --weights FILE --out FILE``
 
 The detector finds the objects of a scene's map and of its queries. Each object of a query is
-matched to the landmark at its position. The graph network is trained to give the two similar
-vectors, and all other landmarks different ones. Errors as large as those of a search are added to
-headings and heights, and a random part of the objects is left out.
+matched to the landmark, an object of the map, at its position. The graph network is trained to give
+the two similar vectors, and all other landmarks different vectors. Headings and heights get errors
+as large as in a search, and a random part of the objects is left out.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class TrainingQuery(NamedTuple):
 
     Attributes:
         name: name of the photograph.
-        session: session of the photograph.
+        session: session (one flight) of the photograph.
         layout: the N objects.
         height: height of the camera above the ground, metres.
         landmark: (N,) row of the landmark of each object, -1 for none.

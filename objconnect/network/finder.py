@@ -55,7 +55,7 @@ class ObjectSearch:
 
     Attributes:
         is_first: whether this search comes before the coarse search, because the map has few
-            landmarks. It is valid once ``prepare`` has run.
+            objects. It is valid once ``prepare`` has run.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ def allowed_poses(
 ) -> tuple[list[Tensor], Bounds]:
     """Return the attitudes to try, and the bounds of the poses to allow.
 
-    The bounds are turns from the headings of the attitudes, heights above the ground, and a region.
+    The bounds are angles from the headings of the attitudes, heights above ground, and a region.
 
     Args:
         prior: prior of the query.

@@ -1,8 +1,8 @@
 """Graphs over the points of an object, and over the objects of a scene.
 
-In the paper, the points of an object are the map points that the current pose projects into its
-region. Here they are the cells of the region in the feature map, so that the features depend on the
-image alone, and any number of pose hypotheses share them.
+In the object-connect paper, the points of an object are the map points that the current pose
+projects into its region. Here they are the cells of the region in the feature map, so that the
+features depend on the image alone, and any number of pose hypotheses share them.
 """
 
 from __future__ import annotations

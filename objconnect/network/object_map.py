@@ -1,4 +1,4 @@
-"""Detection of the objects of photographs and of the landmarks of maps."""
+"""Detection of the objects of photographs, and of the landmarks, the objects of a map."""
 
 from __future__ import annotations
 

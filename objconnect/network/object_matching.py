@@ -1,8 +1,9 @@
 """Matching of a photograph's objects with the landmarks of a map, which gives candidate poses.
 
-Pairs of objects give hypotheses in closed form (``object_pairs``). The best ones are rated by the
-graph: it describes the photograph's objects among their neighbours, laid out on the ground by the
-hypothesis, and compares them with the landmarks nearest to their positions.
+A landmark is an object of the map, with its position and size. Pairs of objects give hypotheses in
+closed form (``object_pairs``). The best ones are rated by the graph: it describes the photograph's
+objects among their neighbours, laid out on the ground by the hypothesis, and compares them with the
+landmarks nearest to their positions.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
 """Hypotheses of a camera's pose from pairs of objects and pairs of landmarks, in closed form.
 
-On level ground, two objects of a photograph and the two landmarks that they are matched with give
-the heading, the height and the position of the camera. A hypothesis is scored by all objects, each
-by its distance from the nearest landmark and their similarity, so that few of the matches need be
-right. Nothing is sampled at random.
+A landmark is an object of the map, with its position and size. On level ground, two objects of a
+photograph and the two landmarks that they are matched with give the heading, the height and the
+position of the camera. A hypothesis is scored by all objects, each by its distance from the nearest
+landmark and their similarity, so that few of the matches need be right. Nothing is sampled at
+random.
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ class GroundPoses(NamedTuple):
 
     Attributes:
         turn: (H,) height above the ground, metres, times ``exp(-i * heading)``. The heading is
-            clockwise from that for which the objects were laid out.
+            clockwise from the heading for which the objects were laid out.
         place: (H,) position of the camera, metres.
     """
 

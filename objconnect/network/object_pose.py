@@ -1,7 +1,7 @@
 """The pose of a camera from objects matched with landmarks, by least squares in six dimensions.
 
-The first pose assumes level ground and one of a few attitudes, so its tilt is off by some degrees.
-The matched objects determine the tilt too.
+A landmark is an object of the map, with its position. The first pose assumes level ground and one
+of a few attitudes, so its tilt is off by some degrees. The matched objects determine the tilt too.
 """
 
 from __future__ import annotations

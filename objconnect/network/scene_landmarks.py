@@ -32,7 +32,7 @@ from objconnect.scene.storage.names import quote_cell
 from objconnect.scene.storage.outputs import OutputFile, check_outputs
 
 LANDMARKS: Final = "landmarks.h5"
-"""Name of the file of a scene with the landmarks of its map."""
+"""Name of the file of a scene with the landmarks (the objects) of its map."""
 
 _HEAD: Final = "landmark,e,n,u,side_m,above_ground_m,probability,photographs,first_photograph"
 

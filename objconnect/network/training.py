@@ -39,7 +39,7 @@ class ObjConnectTraining:
     Implements ``objconnect.learning.training.loop.Trainable``.
 
     ``TrainConfig.network`` holds fields of ``ObjConnectNetConfig``. ``TrainConfig.weights`` may be
-    weights of this network, also with other fields, or weights of PixLoc.
+    weights of this network, even if made with other values of these fields, or of PixLoc.
     """
 
     def __init__(self, config: TrainConfig) -> None:

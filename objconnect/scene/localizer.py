@@ -73,7 +73,7 @@ class Query:
         camera: calibrated camera.
         prior: approximate pose, or None.
         references: reference images to match with, most similar first; None leaves retrieval to
-            the method. A coarse search begins at these images.
+            the method. A coarse search of the map begins at these images.
         tracked: whether the prior is predicted from the preceding images. A method may then refine
             the prior alone, and search only if that fails.
     """
@@ -134,7 +134,7 @@ class PoseSource(StrEnum):
 
 @dataclass(frozen=True)
 class Estimate:
-    """The answer of a localizer.
+    """The result of a localizer for one query.
 
     Attributes:
         status: ``ok``, or ``fallback`` / ``failed`` with a ``reason``.
@@ -254,7 +254,7 @@ class PreparesLazily(Protocol):
     def prepare_lazily(self, sparse_map: SparseMap, images: Path, cache: Path) -> None:
         """Build the part of the per-map state that every query needs.
 
-        The first query that needs the rest builds it, in its stage ``preparation``. The answers
+        The first query that needs the rest builds it, in its stage ``preparation``. The results
         equal those after ``Localizer.prepare``.
 
         Args:

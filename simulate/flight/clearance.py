@@ -1,4 +1,4 @@
-"""Refuse flights through obstacles, and photographs that do not show the place."""
+"""Refuse flights through obstacles, and photographs that do not show the rendered area."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _RAYS = 17
 
 
 def check_flight(name: str, cam_from_world: Array, camera: Camera, world: World) -> None:
-    """Check every exposure of a flight against the place.
+    """Check that a flight is clear of obstacles and that every photograph shows the place.
 
     Args:
         name: Name of the session, for the error message.
         cam_from_world: Poses (N, 4, 4).
         camera: The camera of the photographs.
-        world: The place.
+        world: The rendered place with its terrain and objects.
 
     Raises:
         InputError: A camera is under the ground, in or under an object's box, or sees nothing of

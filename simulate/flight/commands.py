@@ -114,7 +114,7 @@ class Command(BaseModel):
         command: MAV_CMD.
         frame: MAV_FRAME; None where the plan has none.
         params: The seven parameters, None where a plan has null.
-        jump_id: The number by which jumps name the command.
+        jump_id: The number that jump commands state to continue at this command.
         mode: QGroundControl's AltitudeMode.
         height: QGroundControl's Altitude, metres in that mode.
         where: Position in the file, for messages.

@@ -194,7 +194,7 @@ class CorridorFlight(_Survey):
 
 
 class FreeFlight(_Flight):
-    """A smooth random course over the area, a different one for every seed and session."""
+    """A smooth random path over the area, which differs for every seed and session."""
 
     kind: Literal["free"] = Field("free", description="Kind of the flight.")
     altitude_m: tuple[Positive, Positive] | None = Field(

@@ -1,4 +1,4 @@
-"""The inputs of flight planners besides the flight itself: place, camera, wind and defaults."""
+"""The inputs of flight planners besides the flight: rendered place, camera, wind, defaults."""
 
 from __future__ import annotations
 

@@ -194,7 +194,7 @@ def street_aims(flight: StreetFlight, context: FlightContext, frames: int) -> Ai
 def free_aims(
     flight: FreeFlight, context: FlightContext, frames: int, rng: np.random.Generator
 ) -> Aims:
-    """Plan a smooth random course over the square area of a place.
+    """Plan a smooth random path over the square area of a place.
 
     The cameras look towards a point that moves around the middle of the place. The altitude above
     the ground and the pitch vary within the ranges of the flight.
@@ -203,7 +203,7 @@ def free_aims(
         flight: The ranges of altitude and pitch.
         context: The place.
         frames: The number of exposures.
-        rng: The generator of the course.
+        rng: The generator of the path.
 
     Returns:
         The exposures (``frames``) in flying order.

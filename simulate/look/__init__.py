@@ -1,1 +1,1 @@
-"""The appearance of places: conditions, meshes, images and shader graphs, without Blender."""
+"""Appearance of rendered places, without Blender: conditions, meshes, images, shader graphs."""

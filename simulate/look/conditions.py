@@ -72,7 +72,7 @@ class Weather:
     Attributes:
         cloud: Cloud cover, 0 to 1. It turns the sky grey, and dims and softens the sun.
         visibility_m: Distance in metres at which fog leaves 2 % of the contrast (Koschmieder).
-        wet: Wetness, 0 to 1. It darkens surfaces, and puts a film of water and puddles on sealed
+        wet: Wetness, 0 to 1. It darkens surfaces, and puts a film of water and puddles on paved
             ground.
         rain: Rain that falls, 0 to 1 for a downpour.
         snowfall: Snow that falls, 0 to 1 for a dense snowfall.

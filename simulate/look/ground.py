@@ -1,4 +1,4 @@
-"""Bake the albedo image of the ground of a place under a condition."""
+"""Bake the albedo image of a place's ground under a condition: season, light and weather."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ def specular_map(
 ) -> NDArray[np.uint8]:
     """Return the specular share of the ground, (n, n) uint8 from 0 to 255.
 
-    Water is a full mirror. Rain leaves a film and puddles on sealed ground.
+    Water is a full mirror. Rain leaves a film and puddles on paved ground.
     """
     n = len(ground.labels)
     water = np.where(ground.labels == CLASSES["water"], 255, 0).astype(np.uint8)
@@ -214,7 +214,7 @@ def _furrows(ground: Ground, tone: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _wear(rng: np.random.Generator, ground: Ground) -> NDArray[np.float32]:
-    """Return the albedo factor (n, n) of cracks, repairs, manholes and stains on sealed ground."""
+    """Return the albedo factor (n, n) of cracks, repairs, manholes and stains on paved ground."""
     n = len(ground.labels)
     wear = np.ones((n, n), np.float32)
     sealed = np.isin(ground.labels, [CLASSES[c] for c in ("road", "parking", "driveway")])

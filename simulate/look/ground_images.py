@@ -27,7 +27,7 @@ class GroundImages(NamedTuple):
 
 
 def bake_ground(world: World, condition: Condition) -> GroundImages:
-    """Return the images of the ground of a place under a condition.
+    """Return the images of a place's ground under a condition: season, light and weather.
 
     The tiles of a tiled place are baked one by one, so that the ground of a tile looks the same
     beside any neighbours.

@@ -1,4 +1,4 @@
-"""Add the light of a condition to a Blender scene.
+"""Add the light of a condition (season, time of day, weather) to a Blender scene.
 
 The function receives Blender's data and does not import ``bpy``, which only the renderer needs.
 """

@@ -55,7 +55,7 @@ def build_materials(
         specular: Specular share (n, n) of the ground, uint8.
         seed: Seed of the place; it selects the windows that are lit at night.
         origin: Position of the scene's origin in the place, metres. It moves the noise of
-            surfaces, so that these look the same in every window of a tiled place.
+            surfaces, so that these look the same in every rendered part of a large place.
     """
     build = _Builder(data, condition, seed)
     image = build.image("ground", np.dstack([ground, specular]))

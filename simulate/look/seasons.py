@@ -58,8 +58,8 @@ class Season:
         leaf: Linear colour of the inner leaves of broadleaved trees.
         leaf_tip: Linear colour of their outer leaves.
         snow: Fraction of open ground under snow, 0 to 1.
-        bare: Whether broadleaved trees have no leaves, a change of the geometry that sessions
-            declare.
+        bare: Whether broadleaved trees have no leaves, a change of the geometry, which scenes
+            record for each flight.
         thaw: How far the snow has melted, 0 to 1. Thawing snow remains in shade and hollows, and
             its water soaks the ground.
         litter: Coverage of the ground under broadleaved trees by fallen leaves, 0 to 1.

@@ -1,4 +1,4 @@
-"""Bake the albedo image of a site under a condition: its orthophoto in another season."""
+"""Bake the albedo image of a site, a real place: its orthophoto in another season and weather."""
 
 from __future__ import annotations
 

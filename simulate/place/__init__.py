@@ -1,1 +1,1 @@
-"""Places as plain data: terrain, ground cover, roads and objects."""
+"""Rendered places as plain data: terrain, ground cover, roads and objects."""

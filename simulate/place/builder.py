@@ -1,4 +1,4 @@
-"""The builder of a place, in which every placed object claims its footprint."""
+"""The builder of a simulated place, in which the footprints of objects do not overlap."""
 
 from __future__ import annotations
 
@@ -232,7 +232,7 @@ class PlaceBuilder:
         width_m: float,
         low_m: float,
     ) -> None:
-        """Place an object that hangs between two points and claims no ground.
+        """Place an object that hangs between two points and occupies no ground.
 
         Args:
             class_name: Class of the object.

@@ -1,4 +1,4 @@
-"""Change a place between sessions: vehicles moved, objects removed or added, bare trees.
+"""Change a place between flights: vehicles moved, objects removed or added, bare trees.
 
 Conditions do not change the geometry. Every difference from the original place is configured by a
 ``Change`` and recorded object by object.
@@ -36,7 +36,7 @@ _TRIES = 60  # random positions that are tried for each object
 
 
 class Change(Config):
-    """The difference between the world of a session and the original place.
+    """The difference between the world of a session (flight) and the original place.
 
     Sessions with equal changes show the same world.
     """

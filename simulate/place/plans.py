@@ -1,4 +1,4 @@
-"""Plans of all presets except ``town``, which has its own module; ``plan`` explains the fields."""
+"""Plans of all presets (kinds of places) but ``town``; ``simulate.place.plan`` has the fields."""
 
 from __future__ import annotations
 

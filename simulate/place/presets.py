@@ -1,4 +1,4 @@
-"""The presets: kinds of places by name, and the preset of a site."""
+"""The presets: kinds of procedural places by name, and ``site`` for a real place."""
 
 from __future__ import annotations
 

@@ -70,5 +70,6 @@ def load_site(path: Path, seed: int) -> World:
             )
     except (OSError, KeyError, ValueError, EOFError, BadZipFile) as error:
         raise InputError(
-            f"place {path} is missing or damaged ({error}): remove the scene and simulate it again"
+            f"site file {path} is missing or damaged ({error}): remove the scene and simulate it "
+            "again"
         ) from None

@@ -38,7 +38,7 @@ _TILE_M: Final = 1000.0 / 3  # approximate side of a tile
 _CACHED_TILES: Final = 32  # a tile takes about 5 MB
 _CACHED_TERRAINS: Final = 1024  # 0.2 MB each
 _ROADS_M: Final = 1000.0  # distance from the middle up to which flights may follow roads
-_KEYS: Final = 1 << 24  # renderers read keys as float32, which is exact below this number
+_KEYS: Final = 1 << 24  # keys seed objects; renderers read them as float32, exact below this
 _ROAD_STEP_M: Final = 3.0  # distance between the points of a road
 
 

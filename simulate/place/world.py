@@ -167,7 +167,7 @@ class Facade(IntEnum):
 
 @dataclass(frozen=True)
 class Imagery:
-    """The appearance of a site from above, on the raster of its ``Ground``.
+    """The appearance of a site, a real place, from above, on the raster of its ``Ground``.
 
     Attributes:
         albedo: Albedo (n, n, 3) uint8, sRGB-coded, in the season of the orthophoto.

@@ -38,12 +38,13 @@ class RenderJob(BaseModel):
     - ``samples`` is the number of paths per pixel, and ``denoising`` the quality of the denoiser.
     - ``origin`` is the geodetic origin, which determines the position of the sun.
     - ``change`` and ``first_new_id`` are arguments of ``simulate.place.change.change_world``.
-    - ``site_path`` is the file of a site, which is read instead of building a place.
+    - ``site_path`` is the file of a site (a real place), which is read instead of building one.
     - ``distorted_camera`` is the camera of the photographs as ``str(Camera)``; the pinhole
       ``camera`` covers its view. None means that the photographs have the pinhole camera.
     - ``travel`` is the displacement of the camera in world metres while a frame is read out from
       top to bottom, by frame. The pose is that of the middle row.
-    - ``windows`` are the windows of a tiled place, which together have all frames. A chunk has one.
+    - ``windows`` are squares of tiles of a large place, each with the frames to render in it;
+      together they have all frames. A chunk has one window.
     - ``thermal`` adds the layer "thermal", the radiance (H, W) float32 between 8 and 14
       micrometres, W/(m2 sr), without noise.
     """

@@ -69,7 +69,8 @@ def iterate_rendering(
     """Render as ``render`` does, and yield the number of each finished frame.
 
     Each process has ``threads`` threads; with None, the processes share the processors. A single
-    process finishes frames in the order of their numbers, window by window in a tiled place.
+    process finishes frames in the order of their numbers. In a tiled place it renders one window (a
+    square of tiles) after the other, each in this order.
     """
     condition(job.condition, job.origin)
     preset(job.preset, job.site_path)

@@ -20,7 +20,8 @@ def render_files(share: RenderJob) -> Iterator[tuple[int, bytes]]:
     """Render all frames of a job with one process and one thread, on a worker.
 
     Yields:
-        The number and the file of each frame, window by window, in the order of their numbers.
+        The number and the file of each frame in the order of their numbers; in a tiled place, one
+        window (a square of tiles) after the other, each in this order.
     """
     with (
         scratch() as folder,

@@ -16,8 +16,8 @@ from simulate.render.window import MAX_SCENE_ID, build_window
 def build_world(job: RenderJob) -> tuple[World, tuple[float, float]]:
     """Return the world of a job, and the position of its origin in the place, metres.
 
-    The job of a tiled place has one window, and this is the world of that window. The poses of the
-    job are relative to the place, not to the window.
+    The job of a tiled place has one window, a square of tiles, and this is the world of that
+    window. The poses of the job are relative to the place, not to the window.
 
     Raises:
         InputError: The place cannot be built.

@@ -43,7 +43,7 @@ _OPEN_GROUND: Final = ("grass", "field", "path")  # classes that floods cover
 
 
 class ThermalCamera:
-    """A thermal camera over a place under a condition.
+    """A thermal camera over a place under a condition (season, light and weather).
 
     Args:
         world: The place.

@@ -1,7 +1,8 @@
 """Radiance of a black body between 8 and 14 micrometres, and the temperature that belongs to it.
 
 Planck's law is integrated over the band, in which uncooled thermal cameras see. A camera calibrated
-on a black body reports the brightness temperature: that of a black body of equal radiance.
+on a black body reports the brightness temperature: the temperature of a black body of equal
+radiance.
 """
 
 from __future__ import annotations

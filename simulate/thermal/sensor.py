@@ -32,7 +32,7 @@ _IGNORED: Final = ("bare sheet", "solar cell", "rubber", "iron")
 
 
 def describe_thermal(condition: Condition, origin: Geodetic) -> Thermal:
-    """Return the record of the thermal pictures of a condition.
+    """Return the metadata of thermal pictures under a condition: coding, noise and range.
 
     The temperature range of the 8-bit pictures is in whole degrees. It includes level surfaces in
     the sun and in the shade.

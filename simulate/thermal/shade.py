@@ -1,4 +1,4 @@
-"""Find the points in the shade of the place, now and at the past hours that warmed the surfaces.
+"""Find shaded points of a place, now and at the past hours that warmed its surfaces.
 
 Terrain and objects are heights on a grid. A point is in the shade if the grid towards the sun rises
 above the ray to the sun. Shade maps hold the height up to which the shade reaches in each cell.

@@ -75,7 +75,7 @@ SUBSTANCES: Final[dict[str, Substance]] = {
 NAMES: Final = tuple(SUBSTANCES)
 """The names of the substances. The number of a substance is its position here."""
 
-# Substance of the ground by class. The ground of a site includes buildings and trees.
+# Substance of the ground by class. A site (a real place) has buildings and trees in its ground.
 _GROUND: Final[dict[str, str]] = {
     "grass": "grass",
     "field": "soil",

@@ -1,4 +1,4 @@
-"""Build the place of a site from its rasters: surface, ground, classes, albedo and snow."""
+"""Build a real site for rendering from its rasters: surface, ground, classes, albedo and snow."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class _Grids(NamedTuple):
 def build_site(
     site: SiteConfig, side_m: float, origin: Geodetic, seed: int, temporary_root: Path
 ) -> tuple[World, SiteReport]:
-    """Build the place of a site.
+    """Build the world of a site.
 
     Args:
         site: Files of the site.

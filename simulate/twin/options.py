@@ -28,7 +28,7 @@ class SiteConfig(Config):
     scene: Path | None = Field(
         None,
         description="Scene with exact depth, or with depth of ``objconnect dense``, instead of "
-        "``ortho`` and ``dsm``. The site keeps the world of the scene.",
+        "``ortho`` and ``dsm``. The site keeps the world coordinates of the scene.",
     )
     classes: Path | None = Field(
         None,

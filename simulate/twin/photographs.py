@@ -1,4 +1,4 @@
-"""Find the ground that the photographs of a site's map see, and sample the colours of points.
+"""Find the ground that the map photographs of a real site see, and sample colours of points.
 
 Occlusion is not tested, because a site has no exact heights.
 """

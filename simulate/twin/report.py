@@ -1,4 +1,4 @@
-"""The report of a site, ``site/report.json`` of a scene."""
+"""The report of a real site that was built for rendering, ``site/report.json`` of a scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Open the source of a site: two GeoTIFFs, or a scene whose depth is fused into such files."""
+"""Open the source of a real site: two GeoTIFFs, or a scene whose depth is fused into such files."""
 
 from __future__ import annotations
 

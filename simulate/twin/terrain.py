@@ -1,4 +1,4 @@
-"""Close holes of a site's surface, and estimate the ground below buildings and trees."""
+"""Interpolate missing heights of a site, and estimate the ground below buildings and trees."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ def scores(
     whose reference poses are too inexact for this threshold are left out.
 
     Raises:
-        InputError: no method has usable results of all scenes from one start.
+        InputError: no method has usable results of all scenes with the same prior.
     """
     runs: dict[tuple[str, str], dict[str, Results]] = {}
     for each in evaluations:
@@ -86,7 +86,7 @@ def scores(
     if not files:
         raise InputError(
             f"{benchmark.repository}: no method has results of all its {len(benchmark.scenes)} "
-            "scenes from one start: evaluate the whole data set"
+            "scenes with the same --start: evaluate the whole data set"
         )
     return files
 

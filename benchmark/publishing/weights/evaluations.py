@@ -42,8 +42,8 @@ def read_evaluations(paths: Sequence[Path], sha256: str) -> tuple[list[Evaluatio
         sha256: digest of the weights.
 
     Returns:
-        The results in the order of their start, data set and method, and the number of results of
-        other weights, which are left out.
+        The results in the order of their starting information, data set and method, and the number
+        of results of other weights, which are left out.
 
     Raises:
         InputError: there are no results of these weights, a file is damaged, or two files are of

@@ -1,1 +1,1 @@
-"""The page of all tracks, from the committed results of each."""
+"""The leaderboard page of all benchmark tracks, from their stored results."""

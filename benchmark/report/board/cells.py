@@ -1,6 +1,6 @@
-"""The cells of a track: groups of queries whose results are pooled.
+"""The cells of a benchmark track: groups of queries whose results are pooled.
 
-A cell is one season and one part of the track. The seasons are:
+A cell is one season and one part of the track, such as a kind of site. The seasons are:
 
 - "same": queries under the map's own condition, where nothing moved;
 - "changed": all other queries;
@@ -8,8 +8,8 @@ A cell is one season and one part of the track. The seasons are:
   track holds out of training, if it holds out conditions or presets;
 - each condition.
 
-The parts are "all" and each part of the track, such as a kind of place. Only the seasons "same" and
-"changed" are divided into parts.
+The parts are "all" and each part of the track. Only the seasons "same" and "changed" are divided
+into parts.
 """
 
 from __future__ import annotations

@@ -20,11 +20,11 @@ _PAGE: Final = "leaderboard.html"
 
 @dataclass(frozen=True)
 class BoardReport:
-    """The headline figures of all tracks.
+    """The main metrics of all benchmark tracks.
 
     Attributes:
         boards: the tracks.
-        rows: for each track the figures of every start, cell and method.
+        rows: for each track the metrics of every prior, group of queries and method.
     """
 
     boards: tuple[TrackBoard, ...]

@@ -104,7 +104,7 @@ def bin_recall(
     Args:
         bins: (N,) bin of each query, -1 for none.
         correct: (N,) whether it is correct.
-        courses: course of each.
+        courses: flight path of each query; repeated flights share one.
         count: number of bins.
     """
     course = number_clusters(courses)

@@ -25,7 +25,7 @@ def reason_against(
     Args:
         controls: the method that each control is compared with, see ``Track.controls``.
         first: a run.
-        second: another run from the same start.
+        second: another run with the same starting information.
         datasets: data sets whose queries are compared; those that a run lacks are ignored.
     """
     names = sorted({first.method, second.method})

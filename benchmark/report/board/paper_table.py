@@ -1,4 +1,4 @@
-"""Table I of the object-connect paper beside the changed cells of our tracks."""
+"""Table I of the object-connect paper beside our recall under changed seasons and light."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from benchmark.report.board.runs import BoardRun, TrackBoard
 from benchmark.report.paper import Line, TableCell, paper_lines, pool, source_text
 from benchmark.tracks.queries import CHANGED
 
-# The headings of the columns, in the order of the paper's columns, with our track and part of each.
+# The headings of the columns, in the paper's order, with our benchmark track and part of it.
 _COLUMNS: Final = {
     "urban: CMU / street-seasons": ("street-seasons", "urban"),
     "suburban: CMU / street-seasons": ("street-seasons", "suburban"),

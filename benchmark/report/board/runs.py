@@ -1,4 +1,4 @@
-"""The committed results of a track, joined with the list of its queries."""
+"""The stored results of a benchmark track, joined with the list of its queries."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class BoardQuery:
     Attributes:
         dataset: name of its data set.
         row: its row in the track's list of queries.
-        course: course that it was flown on, see ``benchmark.tracks.courses``.
+        course: its flight path, which repeated flights share, see ``benchmark.tracks.courses``.
         same: whether its condition in the results is a condition of the map. Nothing moved in these
             queries: a track flies sessions in which something moved under other conditions.
         novelty: "seen", or one of ``UNSEEN`` if its track holds its condition or its preset out of
@@ -61,13 +61,13 @@ class BoardQuery:
 
 @dataclass(frozen=True)
 class BoardRun:
-    """The answers of a method from one start.
+    """The answers of a method that was given one kind of starting information.
 
     Attributes:
         start: name of the starting information.
         method: name of the method.
         answers: answer to each query of the track; None in a data set without results.
-        declared: whether a user declared the start to ``score``, which nothing verifies.
+        declared: whether a user stated the starting information, which nothing verifies.
         authors: who submitted the poses; None for runs of the track's owners.
         results: the results by data set.
     """
@@ -164,7 +164,7 @@ def read_boards(folder: Path) -> list[TrackBoard]:
 def read_board(name: str, tracks_folder: Path) -> TrackBoard:
     """Read one track.
 
-    Combinations of start, method and data set without results are listed as missing. A method that
+    Combinations of prior, method and data set without results are listed as missing. A method that
     has results of only a few data sets is shown with the queries of these. A damaged submission is
     left out and listed as missing too.
 

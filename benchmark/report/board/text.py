@@ -28,15 +28,15 @@ from benchmark.submissions.submission import Card
 
 @dataclass(frozen=True)
 class HeadlineRow:
-    """The figures of a method in a cell.
+    """The metrics of a method on one group of queries (*cell*).
 
     Attributes:
         start: name of the starting information.
-        season: season of the cell, see ``Cell``.
+        season: condition of the queries, or a summary such as "changed", see ``Cell``.
         part: "all" or a part of the track.
         method: label of the method.
         cell_queries: number of queries of the cell; a method may lack results of some of them.
-        places: number of places of the queries for which the method has results.
+        places: number of sites of the queries for which the method has results.
         surest: recall at 0.5 m 5° at bounded risk, see ``cells.recall_at_risk``; None if no answer
             has a probability or a sigma, or the reference poses do not judge 0.5 m.
         summary: figures of the queries.
@@ -80,7 +80,7 @@ def _row(board: TrackBoard, cell: Cell, run: BoardRun) -> HeadlineRow:
 
 
 def board_markdown(boards: Sequence[TrackBoard], rows: Sequence[Sequence[HeadlineRow]]) -> str:
-    """Return a table for each track and start, with a row for each cell and method.
+    """Return a table for each track and prior, with a row for each group of queries and method.
 
     Args:
         boards: the tracks.
@@ -95,7 +95,7 @@ def board_markdown(boards: Sequence[TrackBoard], rows: Sequence[Sequence[Headlin
         "answers are sorted by predicted probability (without one: by sigma), and as many of the "
         f"first as possible are accepted, with fewer than {RISK:.0%} wrong at 0.5 m 5°; "
         "the column is the share of all queries that are accepted and right. Where a method has "
-        "results of fewer queries than its cell (48 of 72), do not compare it with the others.",
+        "results of fewer queries than are listed (48 of 72), do not compare it with the others.",
     ]
     for board, figures in zip(boards, rows, strict=True):
         lines += ["", f"## {escape(board.track.name)}: {escape(board.track.title)}"]

@@ -37,10 +37,10 @@ from objconnect.scene.storage.outputs import check_output_folder, require_empty
 Array = NDArray[np.float64]
 
 SESSION: Final = "virtual"
-"""Name of the session of virtual photographs."""
+"""Name of the session (flight) of virtual photographs."""
 
 _DEFAULTS: Final = ViewOptions()
-# Views with a smaller share of surface are left out.
+# Views in which a smaller share of the pixels shows the surface are left out.
 _MIN_COVERAGE: Final = 0.3
 # Side (px) of the previews whose share of surface decides which views are rendered.
 _PREVIEW_SIDE = 32
@@ -50,14 +50,14 @@ _MIN_VIEWS = 3
 
 @dataclass(frozen=True)
 class VirtualReport:
-    """Figures of a scene of virtual photographs.
+    """Statistics of a scene of virtual photographs.
 
     Attributes:
         views: number of virtual photographs.
         altitude_m: their height above the ground, metres.
         ground_pixel_m: ground sampling distance of nadir views, metres.
         left_out: number of views that would show too little surface.
-        notes: remarks on the input files, a line each.
+        notes: warnings about the input files, a line each.
     """
 
     views: int
@@ -67,7 +67,7 @@ class VirtualReport:
     notes: tuple[str, ...] = ()
 
     def text(self) -> str:
-        """Return the figures in one line, and the notes."""
+        """Return the statistics in one line, and the notes."""
         figures = (
             f"{self.views} virtual views from {self.altitude_m:.0f} m above the ground, "
             f"{100 * self.ground_pixel_m:.1f} cm a pixel; {self.left_out} left out at the edges"
@@ -75,7 +75,7 @@ class VirtualReport:
         return "\n".join((figures, *self.notes))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the figures as a dictionary for JSON."""
+        """Return the statistics as a dictionary for JSON."""
         return asdict(self)
 
 
@@ -119,7 +119,8 @@ def photograph_orthophoto(
 ) -> VirtualReport:
     """Render virtual photographs with exact depth from an orthophoto and a surface model.
 
-    The scene has one session, ``virtual``, whose frames are map frames. It has no map yet.
+    The scene has one session, ``virtual``, whose frames are all meant for the map. It has no map
+    yet.
 
     Args:
         orthophoto: GeoTIFF of 8 bits in any reference system in metres.

@@ -15,7 +15,7 @@ class ViewOptions(Config):
         ge=1,
         le=10_000,
         description="Height of the cameras above the ground, m. None chooses the height at which a "
-        "pixel of a view is as large on the ground as one of the orthophoto.",
+        "pixel of a view is as large on the ground as a pixel of the orthophoto.",
     )
     overlap: float = Field(
         0.7,

@@ -25,10 +25,11 @@ Array = NDArray[np.float64]
 
 # Bisections of the step in which a ray enters the surface.
 _BISECTIONS = 6
-# Side (px) of the cells. The highest point of each cell is stored: a ray that stays above it skips
-# the cell.
+# Side (px) of square cells of the surface model. The highest point of each cell is stored: a ray
+# that stays above it skips the cell.
 _CELL = 8
-# Margins of rays beyond the heights of the surface, metres and share of the length.
+# Rays are followed beyond the lowest and highest surface by this margin, metres, and by this share
+# of the height of the camera above it.
 _MARGIN_M, _MARGIN_SHARE = 1.0, 0.01
 # Rays that fall less than this per metre of depth are treated as missing the ground.
 _MIN_FALL = 0.05

@@ -37,12 +37,13 @@ def train(
     Args:
         method: name of the method.
         make: creates the method from the configuration.
-        data: finished scenes with depth, taken by pinhole cameras.
+        data: finished scenes (folders that ``simulate`` or ``ingest`` wrote) with depth, taken by
+            pinhole cameras.
         out: folder of the run: checkpoint, log, curves, and at the end the weights and their card.
         config: configuration of the training.
         validation: scenes that are evaluated during training but not trained on.
-        held_out: conditions, presets and lenses that tracks hold out, by name of the track;
-            ``benchmark.tracks.description.held_out`` returns them.
+        held_out: conditions, presets and lenses that benchmarks reserve for evaluation, by name of
+            the benchmark's track; ``benchmark.tracks.description.held_out`` returns them.
 
     Returns:
         The file of the weights.

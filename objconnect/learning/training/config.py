@@ -35,7 +35,7 @@ class TrainConfig(Config):
         0.3,
         ge=0,
         le=1,
-        description="Share of the pairs that are made of these photographs. It is halved after the "
+        description="Share of the pairs that are made of ``photographs``. It is halved after the "
         "warm-up; if ``warm_up`` is 0, it is never halved.",
     )
     warm_up: float = Field(
@@ -43,7 +43,7 @@ class TrainConfig(Config):
         ge=0,
         le=1,
         description="Share of the steps, at the start, in which features are trained without "
-        "poses.",
+        "the pose loss.",
     )
     width: float = Field(
         0.25,

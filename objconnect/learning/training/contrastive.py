@@ -2,7 +2,7 @@
 
 It is InfoNCE (van den Oord et al., 2018). The positive of a point's feature in image a is the
 feature of the same point in image b. The negatives are features at random positions of image b and
-at positions a few cells from the point.
+at positions a few cells of the feature map from the point.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""True objects in a crop of a rendered frame, from its instance layer."""
+"""Ground-truth objects in a crop of a rendered frame, from the object id of each pixel."""
 
 from __future__ import annotations
 

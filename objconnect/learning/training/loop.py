@@ -120,7 +120,7 @@ class PairSources:
     validation: PairSource | None = None
 
     def draw(self, photograph_share: float, seed: int) -> _PairDataset:
-        """Return the training pairs; without ``photographs``, the share is ignored."""
+        """Return the training pairs; without photographs, all are rendered."""
         if self.photographs is None:
             return _PairDataset([self.rendered], [1.0], seed)
         shares = [1 - photograph_share, photograph_share]

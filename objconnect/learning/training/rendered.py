@@ -1,4 +1,7 @@
-"""Training pairs from rendered scenes: crops of two frames, often of different conditions."""
+"""Training pairs from rendered scenes: crops of two frames, often of different conditions.
+
+A condition is the season, light and weather of a session, which is one flight over a scene.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,7 @@ from objconnect.scene.storage.images import read_rgb
 
 # Offset between the object ids of two scenes, larger than the number of objects of a scene.
 _IDS_PER_SCENE: Final = 1 << 17
-# A point is visible in the other frame if its depth differs from the depth layer there by at most
+# A point is visible in the other frame if its depth differs from the depth map there by at most
 # this share.
 _SAME_DEPTH: Final = 0.01
 

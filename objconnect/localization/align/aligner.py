@@ -28,7 +28,7 @@ _REASONS: Final = (
 
 @dataclass(frozen=True)
 class Alignment:
-    """The result of an alignment, with the batch shape (B) or (B, K) of the starts.
+    """The result of an alignment, with the batch shape (B) or (B, K) of the initial poses.
 
     Attributes:
         pose: ``cam_from_world``, float64; if alignment failed, the last pose before the failure.

@@ -22,7 +22,8 @@ from objconnect.scene.geometry.pose import Pose
 _PATCHES_PER_POSE = 3
 # Variance of the rotation (rad^2) above which the rotation is unknown.
 _UNKNOWN_ROTATION = math.pi**2
-# Side of the square patches of a level (cells). Points in one patch are treated as dependent.
+# Side of the square patches, in cells of the feature map. Points in one patch are treated as
+# dependent.
 _PATCH_CELLS: Final = 24.0
 # Share by which the scatter of the patches' gradients is shrunk to that of independent residuals.
 _SHRINKAGE: Final = 0.6
@@ -88,7 +89,7 @@ def _sandwich(H: Tensor, scatter: Tensor, count: Tensor, shrinkage: float = _SHR
 
 @dataclass(frozen=True)
 class PoseUncertainty:
-    """Uncalibrated covariances of aligned poses, and the figures that calibrate them.
+    """Uncalibrated covariances of aligned poses, and the measures that calibrate them.
 
     Attributes:
         covariance: (B, 6, 6) of the left tangent, rotation (rad) then translation (m); infinite on

@@ -1,9 +1,10 @@
-"""Alignment from many starts: a grid of poses around the prior, compared on the coarsest level.
+"""Alignment from many initial poses: a grid around the prior, compared on the coarsest level.
 
-Alignment on a level converges if the start is off by at most one or two cells: 30 pixels on the
-coarsest level. A prior that is off by 10 m and 10 degrees is off by a hundred pixels. Rotating the
-camera and moving it sideways shift the picture alike, so a grid over three parameters (two shifts
-and one rotation of the picture) covers all such poses. The best of them are refined.
+Alignment on a level of the feature maps converges if the initial pose is off by at most one or two
+cells: 30 pixels on the coarsest level. A prior that is off by 10 m and 10 degrees is off by a
+hundred pixels. Rotating the camera and moving it sideways shift the picture alike, so a grid over
+three parameters (two shifts and one rotation of the picture) covers all such poses. The best of
+them are refined.
 """
 
 from __future__ import annotations

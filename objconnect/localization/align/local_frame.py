@@ -17,16 +17,16 @@ from objconnect.scene.geometry.projection import Intrinsics
 
 @dataclass(frozen=True)
 class LocalProblem:
-    """Points and starts relative to an origin of each query, so that coordinates stay precise.
+    """Points and initial poses relative to an origin of each query, to keep coordinates precise.
 
     Attributes:
         points: points (B, N, 3), metres from the origin of each query; zero where not usable.
         usable: (B, N) bool, whether points are finite and in the mask.
         intrinsics: intrinsics in the precision of the points.
-        origin: position (B, 3) of the first start of each query, world metres.
-        start: starts ``cam_from_local``, batch shape (B,) or (B, K), float64; the identity replaces
-            starts that are not finite.
-        finite: whether each start was finite, shape (B,) or (B, K).
+        origin: position (B, 3) of the first initial pose of each query, world metres.
+        start: initial ``cam_from_local``, batch shape (B,) or (B, K), float64; the identity
+            replaces poses that are not finite.
+        finite: whether each initial pose was finite, shape (B,) or (B, K).
     """
 
     points: Tensor

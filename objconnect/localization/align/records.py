@@ -1,4 +1,4 @@
-"""Records of arrays that compiled loops read and write, for M poses with N points each.
+"""Named tuples of arrays that compiled loops read and write, for M poses with N points each.
 
 Numba's cache is renewed only if ``kernels.py`` changes. After a change of the order of fields here,
 touch that file.

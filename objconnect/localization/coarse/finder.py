@@ -75,8 +75,8 @@ class CoarseSearchOptions(TiltOptions):
     candidates: int = Field(
         16,
         ge=0,
-        description="Maximum number of candidates at the known attitude or first tilt, and again "
-        "at all other tilts together; 0 for no coarse search.",
+        description="Maximum number of candidates at the known attitude, or at the first of "
+        "``tilts_deg``, and again at all other tilts together; 0 for no coarse search.",
     )
 
 
@@ -135,7 +135,7 @@ class CoarseSearch:
             return make_mosaic(sparse_map, grid, _CHANNELS, extract, advance)
 
     def find(self, query: Query) -> Iterator[list[Candidate]]:
-        """Yield candidates at the known attitude or at the first tilt, then those at other tilts.
+        """Yield the candidates at the known attitude or the first tilt, then those at other tilts.
 
         Each list has its best candidate first. No list is yielded if no photograph of the map looks
         down, or if the query has a single colour. All tilts use the same features of the query.

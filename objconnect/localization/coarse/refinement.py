@@ -1,7 +1,8 @@
 """Refinement of coarse poses of a query in all six dimensions, by their score on the mosaic.
 
-A search tries few tilts, headings and altitudes. With the nearest of these, the right pose scores
-little more than wrong ones. After refinement it scores clearly more.
+The mosaic holds the features of every cell of the ground. A search tries few tilts, headings and
+altitudes. With the nearest of these, the right pose scores little more than wrong ones. After
+refinement it scores clearly more.
 """
 
 from __future__ import annotations

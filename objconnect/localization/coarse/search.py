@@ -1,4 +1,7 @@
-"""Correlation of a query with a mosaic over headings, altitudes and, by FFT, all positions."""
+"""Correlation of a query with a mosaic over headings, altitudes and, by FFT, all positions.
+
+A mosaic holds the features of every cell of the ground; a cell is known if a photograph shows it.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Search for a tilted camera on a mosaic of half the resolution, with refinement of the peaks."""
+"""Search for a tilted camera on a mosaic of half the resolution, with refinement of the peaks.
+
+A mosaic holds the features of every cell of the ground.
+"""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 Neighbours are photographs that share map points. If too few photographs do, as along a street with
 metres between photographs, the poses decide: a neighbour then has in view a large share of the
-places that lie on the photograph's rays at the depths of the map's points.
+3D points that lie on the photograph's rays at the depths of the map's points.
 """
 
 from __future__ import annotations

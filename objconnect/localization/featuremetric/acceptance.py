@@ -1,9 +1,9 @@
 """The probability that a pose is right, that is, within 5 m and 10 degrees of the truth.
 
 Logistic regression gives the log odds of an aligned pose from three measures that need no ground
-truth (``evidence``), and the log odds of a pose by matches from its number of inliers. At most one
-position in a map is right, so the probabilities of poses at several positions sum to at most 1.
-``python -m experiments.acceptance`` fits the models.
+truth (``evidence``), and the log odds of a pose from keypoint matches by its number of inliers. At
+most one position in a map is right, so the probabilities of poses at several positions sum to at
+most 1. ``python -m experiments.acceptance`` fits the models.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class AlignedModel(Config):
 
 
 class MatchedModel(Config):
-    """Logistic regression of poses by matches, on the number of inliers."""
+    """Logistic regression of poses from matches, on the number of inliers."""
 
     bias: float = Field(description="Log odds of a pose with one inlier.")
     inliers: float = Field(description="Weight of the logarithm of the number of inliers.")
@@ -54,7 +54,7 @@ class AcceptanceModel(CalibrationFile):
     kind = "acceptance"
 
     aligned: AlignedModel = Field(description="Model of aligned poses.")
-    matched: MatchedModel = Field(description="Model of poses by matches.")
+    matched: MatchedModel = Field(description="Model of poses from keypoint matches.")
 
     def alignment_log_odds(self, evidence: Evidence) -> float:
         """Return the log odds of an aligned pose."""
@@ -64,13 +64,13 @@ class AcceptanceModel(CalibrationFile):
         return _clip_log_odds(model.bias + sum(w * x for w, x in zip(weights, terms, strict=True)))
 
     def match_log_odds(self, inliers: int) -> float:
-        """Return the log odds of a pose by matches; minus infinity without an inlier."""
+        """Return the log odds of a pose from matches; minus infinity without an inlier."""
         if inliers < 1:
             return -math.inf
         return _clip_log_odds(self.matched.bias + self.matched.inliers * math.log(inliers))
 
     def rate(self, matched: Estimate) -> Estimate:
-        """Return a pose by matches with the probability that it is right."""
+        """Return a pose from matches with the probability that it is right."""
         if matched.status is not Status.OK:
             return matched
         return replace(matched, probability=_probability(self.match_log_odds(matched.inliers)))

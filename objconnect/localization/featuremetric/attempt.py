@@ -1,4 +1,4 @@
-"""The outcome of an alignment from one start, and the estimate that several outcomes give."""
+"""The outcome of an alignment from one initial pose, and the estimate from several outcomes."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ from objconnect.scene.geometry.views import WarpedImage
 from objconnect.scene.localizer import Estimate, PoseSource, Status, Stopwatch
 
 Rivals = Sequence[tuple[Pose, float]]
-"""Poses that no attempt gave, such as one by matches, with their log odds of being right. A rival
-lowers the probability of the likeliest attempt if the two poses differ (``is_same_pose``)."""
+"""Poses that no attempt gave, such as a pose from keypoint matches, with their log odds of being
+right. A rival lowers the probability of the likeliest attempt if the two poses differ
+(``is_same_pose``)."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class AlignedView:
 
 @dataclass(frozen=True)
 class Attempt:
-    """The outcome of one start.
+    """The outcome of an alignment from one initial pose.
 
     Attributes:
         view: the warped image.
@@ -108,15 +109,15 @@ def select_estimate(
     clock: Stopwatch,
     rivals: Rivals = (),
 ) -> Estimate:
-    """Return the likeliest attempt; if it is not accepted, the first start as ``FALLBACK``.
+    """Return the likeliest attempt; if not accepted, the first initial pose as ``FALLBACK``.
 
     Args:
-        attempts: outcomes of all starts.
-        starts: ``cam_from_world``; at least one.
-        source: source of the first start.
+        attempts: outcomes of all initial poses.
+        starts: initial ``cam_from_world``; at least one.
+        source: source of the first initial pose.
         options: bounds of acceptance and the calibration of covariances.
         clock: time of the query so far.
-        rivals: poses that no attempt gave, such as one by matches.
+        rivals: poses that no attempt gave, such as a pose from keypoint matches.
     """
     best, probability = select_likeliest(attempts, rivals)
     answer = Estimate(

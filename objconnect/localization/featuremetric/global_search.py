@@ -1,8 +1,8 @@
 """Localization of an image with an incomplete or missing prior.
 
-Matches, known objects, the coarse search and the method ``search.matcher`` give candidates. The
-best candidate of each is refined, then its other candidates whose screening gives a high peak. The
-first probable refined pose ends the search.
+SIFT matches, objects of the map, the coarse search and the method of the option ``search.matcher``
+give candidates. The best candidate of each is refined, then its other candidates whose rough
+alignment has a high peak-to-sidelobe ratio. The first probable refined pose ends the search.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.progress import progress_within
 
 MATCHES_RADIUS: Final = SearchRadius(1.0, 1.0)
-"""Search radius (metres, degrees) around a pose by matches."""
+"""Search radius (metres, degrees) around a pose from SIFT matches."""
 _Find = Callable[[Query, Stopwatch], Iterator[list[Candidate]]]
 
 
 def is_sure_match(matched: Estimate, options: SearchOptions) -> bool:
-    """Return whether the pose by matches is the answer without an alignment."""
+    """Return whether the pose from matches is the answer without an alignment."""
     has_many_inliers = matched.inliers >= options.matched_answer_inliers
     return has_many_inliers and (matched.probability or 0.0) >= 1 - options.risk
 
@@ -78,7 +78,7 @@ class GlobalSearch:
     """Searches a map for the pose of an image.
 
     Attributes:
-        refine: refines a start.
+        refine: refines an initial pose.
         sparse_map: the map.
         coarse: the coarse search; if None, only matches and the two other finders give candidates,
             and the localizer starts from similar photographs if no candidate gives a probable pose.
@@ -126,7 +126,7 @@ class GlobalSearch:
         return self._select_best(attempts, tried[0], clock, rivals)
 
     def _align(self, query: Query, candidate: Candidate, clock: Stopwatch) -> Attempt:
-        """Refine a candidate, with a smaller search radius if it is a pose by matches."""
+        """Refine a candidate, with a smaller search radius if it is a pose from matches."""
         radius = MATCHES_RADIUS if candidate.by is PoseSource.MATCHES else None
         return self.refine.align_near(query, candidate.pose, clock, radius)
 
@@ -166,7 +166,7 @@ class GlobalSearch:
     def _align_near_matches(
         self, query: Query, matched: Estimate, rivals: Rivals, clock: Stopwatch
     ) -> tuple[Estimate | None, list[Attempt]]:
-        """Refine the pose by matches, the first of ``rivals``.
+        """Refine the pose from matches, the first of ``rivals``.
 
         The aligned pose is the answer if it agrees with the matched pose or is likelier, and is
         accepted. Otherwise the matched pose is the answer if it agrees with the aligned pose or is

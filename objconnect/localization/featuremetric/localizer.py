@@ -74,7 +74,7 @@ from objconnect.scene.storage.lru_cache import MEGABYTE
 
 # Maximum number of steps per level; nearly all successful queries take fewer.
 _SOLVER: Final = Options(iterations=100)
-# The heap is trimmed before a query if resident memory exceeds that after preparation by more than
+# The heap is trimmed before a query if resident memory has grown since the preparation by more than
 # this (MB). Trimming makes the next pass of the network a tenth slower.
 _RETURN_FREED_MB: Final = 290
 
@@ -90,8 +90,8 @@ class FeaturemetricLocalizer:
         extra_finder: finds candidates in addition to the coarse search; None for none.
 
     Attributes:
-        matched_finder: finds starts by the method ``search.matcher``. ``objconnect.methods.create``
-            sets it, because this package does not import other methods.
+        matched_finder: finds initial poses by the method of the option ``search.matcher``.
+            ``objconnect.methods.create`` sets it, because this package imports no other methods.
 
     Raises:
         InputError: this processor cannot run the network quantized, an option has no effect with
@@ -235,7 +235,7 @@ class FeaturemetricLocalizer:
 
     @torch.inference_mode()
     def localize(self, query: Query) -> Estimate:
-        """Choose reference images and starts, align the image from each, and return the best."""
+        """Choose reference images and initial poses, align from each, and return the best."""
         if reason := query_error(query):
             return Estimate(Status.FAILED, reason=reason)
         if (side := self._compute_shorter_side(query)) < LEAST_SIDE:
@@ -270,7 +270,7 @@ class FeaturemetricLocalizer:
         return self.config.multistart and query.references is None and not has_pose(query.prior)
 
     def _search(self, query: Query, clock: Stopwatch) -> Estimate | None:
-        """Return the pose by matches if ``is_sure_match``, else from a global search; None if
+        """Return the pose from matches if ``is_sure_match``, else from a global search; None if
         the global search gives none."""
         matched = None
         if self._matches is not None:

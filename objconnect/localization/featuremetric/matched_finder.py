@@ -1,4 +1,4 @@
-"""Candidates by the poses of another method, such as one that matches learned keypoints.
+"""Candidate poses from another method, such as one that matches learned keypoints.
 
 Learned matchers recognize a place where the coarse search does not; alignment then gives a more
 exact pose than their matches do.

@@ -1,4 +1,4 @@
-"""Localization by SIFT matches, whose pose is the start of an alignment."""
+"""Localization by SIFT matches, whose pose is the initial pose of an alignment."""
 
 from __future__ import annotations
 

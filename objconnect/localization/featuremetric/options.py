@@ -35,7 +35,7 @@ class SearchOptions(Config):
         1.0,
         gt=0,
         description="Largest predicted standard deviation of the position of an aligned pose, m; "
-        "a pose with a larger one is not an answer.",
+        "a pose with a larger deviation is rejected.",
     )
     least_peak: float = Field(
         3.5,
@@ -59,9 +59,9 @@ class SearchOptions(Config):
     matched_answer_inliers: int = Field(
         100,
         ge=4,
-        description="Minimum number of inliers of a pose by matches that is the answer without an "
-        "alignment, if it is within ``risk``. On the validation scenes such poses were off by "
-        "0.02 m in the median, and by 0.04 m after an alignment.",
+        description="Minimum number of inliers at which a pose from SIFT matches is returned "
+        "without an alignment, if it is within ``risk``. On the validation scenes such poses were "
+        "off by 0.02 m in the median, and by 0.04 m after an alignment.",
     )
     again: int = Field(
         2,
@@ -72,8 +72,8 @@ class SearchOptions(Config):
     )
     matcher: dict[str, Any] | None = Field(
         None,
-        description="Second method, such as aliked+lightglue, that is run if the method's own "
-        "starts give no answer; its pose is one more start. None for none. Its options follow it: "
+        description="Second method, such as aliked+lightglue, that is run if no pose is "
+        "accepted; its pose is one more initial pose. None for none. Its options follow it: "
         "search.matcher.method=aliked+lightglue and search.matcher.references=8.",
     )
 
@@ -145,8 +145,8 @@ class FeaturemetricConfig(NetworkOptions):
     )
     multistart: bool = Field(
         False,
-        description="Search around the initial pose, for priors beyond the convergence of one "
-        "alignment.",
+        description="Search around the initial pose, for priors with larger errors than one "
+        "alignment corrects.",
     )
     precision: Precision = Field(
         "float32",

@@ -20,7 +20,7 @@ class MapState:
     """The parts of a localizer that are prepared for a map.
 
     Attributes:
-        refine: refines a start of any image.
+        refine: refines an initial pose of any image.
         search: localizes images with an incomplete prior.
         tracking: aligns images of a sequence from their predicted pose; None if switched off.
     """

@@ -13,7 +13,7 @@ from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Prior
 
 DEFAULT_RADIUS: Final = SearchRadius(8.0, 10.0)
-"""Search radius (metres, degrees) around a start of unknown uncertainty."""
+"""Search radius (metres, degrees) around an initial pose of unknown uncertainty."""
 # Largest search radius (metres, degrees), because the grid of a wider search would have gaps.
 _LARGEST_RADIUS: Final = SearchRadius(40.0, 30.0)
 # Search radius in standard deviations of a prior.

@@ -1,4 +1,4 @@
-"""Alignment problems: features of an image, and of map points in view from a start."""
+"""Alignment problems: features of an image, and of map points in view from an initial pose."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ LEAST_SIDE: Final = 16
 
 @dataclass(frozen=True)
 class Levelling:
-    """Levels images that are tilted much more than the map's photographs.
+    """Warps images that are tilted much more than the map's photographs to a smaller tilt.
 
     Attributes:
         tilts: (N,) tilts of the photographs, radians.
         most_tilt: angle by which the tilt of an image may exceed the median tilt of its reference
-            images, radians; infinite to level no image.
+            images, radians; infinite to warp no image.
     """
 
     tilts: NDArray[np.float64]

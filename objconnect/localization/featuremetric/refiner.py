@@ -1,4 +1,4 @@
-"""Refinement of one start: warp the image for it, align, and rate the pose."""
+"""Refinement of one initial pose: warp the image for it, align, and rate the pose."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _COMPARED_LEVELS: Final = 2
 
 @dataclass(frozen=True)
 class Refiner:
-    """Refines starts of queries in one map.
+    """Refines initial poses of queries in one map.
 
     Attributes:
         config: options of the localizer.

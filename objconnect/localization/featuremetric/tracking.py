@@ -1,7 +1,7 @@
 """Alignment of an image of a sequence from its predicted pose.
 
-It uses one start, a few reference images, the middle of the image, and no level coarser than the
-uncertainty of the prediction needs.
+It uses one initial pose, a few reference images, the middle of the image, and no level coarser than
+the uncertainty of the prediction needs.
 """
 
 from __future__ import annotations

@@ -27,8 +27,8 @@ from objconnect.scene.geometry.pose import Pose
 _CONFIDENCE_MARGIN: Final = 1e-3
 # Unrolled iterations of the alignment per level, for the pose loss.
 _ITERATIONS: Final = 8
-# Learning rate of the damping relative to the filters'. It is large because a factor is shared by
-# all pixels.
+# Learning rate of the damping relative to the rate of the convolution filters. It is large because
+# all pixels share a factor.
 _DAMPING_RATE: Final = 30.0
 
 

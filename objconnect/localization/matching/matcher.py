@@ -20,8 +20,8 @@ class Keypoints:
 
     Attributes:
         xy: (N, 2) float32 pixels from the picture's centre, x right and y down. For features that
-            are not rotation-invariant the picture is rotated north up, and that of a query is
-            resized to the map's resolution.
+            are not rotation-invariant the picture is rotated north up, and a query's picture
+            is also resized to the map's resolution.
         size: width and height of the picture before the rotation, in the same pixels.
         descriptors: (N, D) as the extractor returns them.
     """

@@ -171,7 +171,7 @@ class StructureLocalizer:
         """Extract features, choose reference images, match, and estimate the pose by PnP.
 
         Features that are not rotation-invariant are extracted from the image rotated for each
-        start. The estimate with the most inliers is returned.
+        initial pose. The estimate with the most inliers is returned.
         """
         if reason := query_error(query):
             return Estimate(Status.FAILED, reason=reason)

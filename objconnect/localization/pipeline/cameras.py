@@ -23,7 +23,7 @@ _RELATIVE_FOCALS: Final = (0.5, 0.6, 0.72, 0.86, 1.04, 1.24, 1.5)
 # Relative standard deviation of the focal length of an estimated pinhole camera
 # (docs/evidence/robustness.md has an example).
 _PINHOLE_FOCAL_SIGMA: Final = 0.06
-# Relative standard deviation of the focal length if the estimated camera is one of the map.
+# Relative standard deviation of the focal length if the estimated camera is a camera of the map.
 _MAP_FOCAL_SIGMA: Final = 0.005
 # Maximum number of map points that give the distance to the ground.
 _POINTS: Final = 20_000
@@ -140,9 +140,9 @@ def estimate_camera(
 
     The misfit of a photograph is the logarithm of the standard deviation of its rotation about the
     optical axis, weighted by the number of inliers. This standard deviation grows with the
-    residuals of the inliers but, unlike the one of the position, not with the focal length. The
-    misfits of photographs are added like log-likelihoods. Between neighbouring pinholes, a parabola
-    through the misfits interpolates the focal length.
+    residuals of the inliers but, unlike the deviation of the position, not with the focal length.
+    The misfits of photographs are added like log-likelihoods. Between neighbouring pinholes, a
+    parabola through the misfits interpolates the focal length.
 
     Args:
         cameras: candidates (``calibration_of``). Pinholes of ``_RELATIVE_FOCALS`` come last,

@@ -126,7 +126,7 @@ class VideoFrames:
 
     @property
     def record(self) -> Mapping[str, Any]:
-        """Return the description of the video for the record of a sequence."""
+        """Return the description of the video for the JSON file that ``localize`` writes."""
         video, srt = self.footage.path.name, self.footage.srt
         srt_name = None if srt is None else srt.name
         return {"video": video, "srt": srt_name, "rate_hz": self.footage.rate_hz}

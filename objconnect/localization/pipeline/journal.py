@@ -29,7 +29,7 @@ def journal_path(results: Path) -> Path:
 
 
 def read_parts(path: Path) -> dict[str, str] | None:
-    """Return the parts in the header of a journal; None without a readable journal."""
+    """Return the parts of a journal's key (``Journal``); None without a readable journal."""
     try:
         with path.open(encoding="utf-8", errors="replace", newline="\n") as file:
             return _parts(_header(file.readline()))

@@ -75,10 +75,10 @@ class LocalizationMap:
 
 
 def open_map(path: Path) -> LocalizationMap:
-    """Open a scene with its map, or a flight, to localize photographs in it.
+    """Open the map of a scene (a folder with ``scene.json``) or of a folder with ``sparse/map``.
 
     Raises:
-        InputError: the path does not exist, is neither a scene nor a flight, or its map is missing,
+        InputError: the path does not exist or is neither of these folders, or its map is missing,
             damaged or empty.
     """
     if is_scene(path):

@@ -50,7 +50,7 @@ from objconnect.scene.storage.scratch import cache_or_scratch
 
 Source = PhotographFolder | VideoFrames
 
-# Text that identifies records of this command, which may be replaced.
+# Text that identifies JSON files of this command, which may be replaced.
 _RECORD: Final = "sequence by objconnect localize"
 _DEFAULTS: Final = LocalizeOptions()
 

@@ -100,7 +100,7 @@ class PhotographFolder:
 
     @property
     def record(self) -> Mapping[str, Any]:
-        """Return the description of the folder for the record of a sequence."""
+        """Return the description of the folder for the JSON file that ``localize`` writes."""
         return {"photographs": self.folder.name, "rate_hz": self.rate_hz}
 
     def images(self, localize: Callable[[Query], Estimate]) -> Iterator[QueryImage]:

@@ -107,7 +107,7 @@ class PhotographReader:
     def doubts(self, exif: Exif) -> tuple[str, ...]:
         """Return the uncertain metadata that are used nevertheless.
 
-        Metadata that the user's camera or table of priors replaces cause no doubt.
+        Metadata that the user's camera or table of priors replaces are left out.
         """
         position: tuple[str, ...] = ()
         if self.priors is None and self.localization_map.origin is not None:

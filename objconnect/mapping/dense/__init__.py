@@ -1,1 +1,1 @@
-"""Visual depth and dense clouds: multi-view PatchMatch on the photographs of a map."""
+"""Depth maps and dense point clouds: multi-view PatchMatch on the photographs of a map."""

@@ -15,14 +15,14 @@ class DenseOptions(Config):
     same_px: float = Field(
         1.0,
         gt=0,
-        description="Two maps agree at a pixel where its reprojection error after a round trip is "
-        "below this, px.",
+        description="Two depth maps agree at a pixel where its reprojection error after a round "
+        "trip is below this, px.",
     )
     confirmed: int = Field(
-        2, ge=1, description="Minimum number of source maps that must confirm a depth."
+        2, ge=1, description="Minimum number of other depth maps that must confirm a depth."
     )
     fused: int = Field(
-        3, ge=1, description="Minimum number of maps that must show a point of the cloud."
+        3, ge=1, description="Minimum number of depth maps that must show a point of the cloud."
     )
 
 

@@ -30,10 +30,10 @@ _MAX_DISTANCE_M = 1.0
 
 @dataclass(frozen=True)
 class Panel:
-    """One state of the map.
+    """The map with one selection of its points, such as those before points were added.
 
     Attributes:
-        kept: (M,) bool, the points of this state.
+        kept: (M,) bool, the selected points.
         has_points: whether each object of the photograph has a point, by label.
     """
 
@@ -50,14 +50,14 @@ def draw(
     panels: list[Panel],
     path: Path,
 ) -> None:
-    """Draw a panel for each state: outlines of objects, and observations coloured by distance.
+    """Draw the panels: outlines of objects, and observations coloured by distance.
 
     Args:
         photograph: the photograph (H, W, 3).
         image: the photograph's image in the map.
         labels: label map (H, W) of the objects to outline.
         distance_m: distance (M,) of each point from the true surface, metres; None if unknown.
-        panels: states of the map, drawn side by side.
+        panels: selections of points, drawn side by side.
         path: file of the picture.
 
     Raises:

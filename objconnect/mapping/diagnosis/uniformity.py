@@ -13,7 +13,7 @@ from objconnect.scene.bundle.covisibility import surface_points
 from objconnect.scene.bundle.scene import Scene
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 
-# Minimum number of photographs that see a cell, as a point needs two to be triangulated.
+# Minimum number of photographs that see a cell of the ground. A point needs two to be triangulated.
 _MIN_VIEWS = 2
 # Each photograph is sampled on a grid with this many pixels per side.
 _PER_SIDE = 64

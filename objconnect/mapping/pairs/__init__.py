@@ -1,1 +1,1 @@
-"""Pairs of orthophotos: a map of one date, and queries drawn from the other."""
+"""Pairs of orthophotos: a map of one date, and query photographs rendered from the other."""

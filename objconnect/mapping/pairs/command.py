@@ -1,6 +1,7 @@
 """The command ``ingest --pair``: make a flight data set from two orthophotos.
 
-The map is made of the orthophoto of one date; the queries are drawn from the other one.
+The data set has a map, made of the orthophoto of one date, and query photographs with reference
+poses, rendered from the other orthophoto.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ PAIR_FILE: Final = "pair.json"
 """Name of the file of a ``PairRecord`` in a flight data set."""
 
 _DEFAULTS: Final = PairQueryOptions()
-# Conditions of the map and of the queries.
+# Conditions of the map and of the queries, by which results are grouped.
 _MAP_DATE: Final = "map-date"
 _OTHER_DATE: Final = "other-date"
 # Added to the report if the registration is unknown.
@@ -105,7 +106,7 @@ class PairReport:
         error: error of the reference poses.
         virtual: virtual photographs of the map.
         map_report: statistics of the map.
-        notes: remarks on the files, a line each.
+        notes: warnings about the files, a line each.
     """
 
     queries: int
@@ -231,7 +232,7 @@ def _check_scale(first: Raster, second: Raster, paths: tuple[Path, Path]) -> Non
     sizes = [max(raster.grid.ground_pixel) for raster in (first, second)]
     if max(sizes) > _MAX_PIXEL_RATIO * min(sizes):
         raise InputError(
-            f"a pixel of {paths[0]} is {sizes[0]:.3g} m, one of {paths[1]} {sizes[1]:.3g} m: they "
+            f"a pixel is {sizes[0]:.3g} m in {paths[0]} and {sizes[1]:.3g} m in {paths[1]}: they "
             f"may differ by a factor of {_MAX_PIXEL_RATIO:g} at most; resample the finer one"
         )
 

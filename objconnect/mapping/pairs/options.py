@@ -1,4 +1,4 @@
-"""Options of the queries that are drawn from an orthophoto."""
+"""Options of the query photographs that are rendered from an orthophoto."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from objconnect.scene.config import MAX_NUMBER, Config
 
 
 class PairQueryOptions(Config):
-    """Options of the flight of a pair, which ``pair.json`` records."""
+    """Options of a data set of two orthophotos, which ``pair.json`` records."""
 
     queries: int = Field(24, ge=1, le=2000, description="Number of queries.")
     size: int = Field(512, ge=64, le=4096, description="Side of the square queries, px.")

@@ -26,7 +26,8 @@ Picture = NDArray[np.uint8]
 
 # Range of the ratio of a query's pixel on the ground to the orthophoto's, if no height is given.
 _PIXEL_RATIOS: Final = (0.8, 1.6)
-# Minimum share of a query that each survey fills, and side (px) of the renders that measure it.
+# Minimum share of a query that each survey (orthophoto on a surface model) fills, and side (px) of
+# the previews that measure it.
 _MIN_FILLED: Final = 0.99
 _TEST_SIDE: Final = 32
 # Maximum number of poses that are drawn per query.

@@ -17,8 +17,8 @@ class SupplementConfig(Config):
     neighbours: int = Field(
         12,
         ge=1,
-        description="Number of photographs with which each one is compared, those that share the "
-        "most map points.",
+        description="Number of photographs with which each photograph is compared; they share the "
+        "most map points with it.",
     )
     epipolar_px: float = Field(
         2.0,

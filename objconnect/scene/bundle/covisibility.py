@@ -32,7 +32,7 @@ class Covisibility:
     """Pairwise covisibility of the N frames of a scene.
 
     Attributes:
-        names: image names, in the order of the sessions and of their frames.
+        names: image names, in the order of the sessions (flights) and of their frames.
         overlap: (N, N) float64 in 0..1; ``overlap[i, j]`` is the share of the surface in frame i
             that frame j sees too. The diagonal is zero.
     """

@@ -1,4 +1,4 @@
-"""``frames.h5``: the poses, cameras, priors and dense annotations of one session."""
+"""``frames.h5``: poses, cameras, priors and dense annotations of one session (flight)."""
 
 from __future__ import annotations
 

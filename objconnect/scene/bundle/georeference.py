@@ -17,7 +17,7 @@ class Georeference(Record):
         horizontal_m: standard deviation of the horizontal position, metres: the root of the sum of
             the variances to the east and to the north, which are equal.
         vertical_m: standard deviation of the height above the ellipsoid, metres; None if unknown.
-        source: where the figures come from: a simulated world ("exact"), GNSS positions ("gps"),
+        source: where the values come from: a simulated world ("exact"), GNSS positions ("gps"),
             surveyed points ("control") or the user ("stated").
     """
 
@@ -31,7 +31,7 @@ class Georeference(Record):
         return self.horizontal_m / math.sqrt(2)
 
     def text(self) -> str:
-        """Return the figures as text for the user."""
+        """Return the standard deviations as text for the user."""
         height = "unknown" if self.vertical_m is None else f"{self.vertical_m:.2f} m"
         return f"horizontal {self.horizontal_m:.2f} m, vertical {height}"
 

@@ -1,4 +1,4 @@
-"""Data that a track holds out for tests: no training and no choice of settings may use them."""
+"""Data that a benchmark track reserves for tests: neither training nor tuning may use them."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class HeldOut(Record):
     """The conditions, sites and cameras of a track that only tests may use.
 
     Attributes:
-        conditions: conditions, or parts of them: ``winter-fog`` holds out fog in winter in any
-            light, ``fog`` all fog.
+        conditions: season, light and weather of flights, or some of these: ``winter-fog`` holds out
+            fog in winter in any light, ``fog`` all fog.
         presets: kinds of rendered sites.
         lenses: names of the simulator's camera presets.
         seeds: seeds of rendered sites of any kind.

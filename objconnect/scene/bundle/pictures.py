@@ -17,7 +17,7 @@ from objconnect.scene.storage.images import read_rgb
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Frames per session on the contact sheet.
+# Frames per session (flight) on the contact sheet.
 _FRAMES = 2
 _MARKERS = {"map": "o", "query": "^"}
 _FOOTPRINT_COLOURS = {"building": "0.45", "tree": "#9fbf8f", "hedge": "#9fbf8f", "car": "#c05050"}

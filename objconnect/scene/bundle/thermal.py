@@ -1,4 +1,4 @@
-"""Thermal pictures of a session: how they are coded, where they are, reading and writing."""
+"""Thermal pictures of a session (flight): coding, paths, reading and writing."""
 
 from __future__ import annotations
 
@@ -92,8 +92,8 @@ def check_thermal(root: Path, name: str, camera: Camera, record: Thermal) -> Non
     """Check that both thermal pictures of a photograph are whole, and that they agree.
 
     Raises:
-        InputError: a picture is missing, damaged, of another size or depth than stated, or the two
-            differ.
+        InputError: a picture is missing, damaged, of another size or bit depth than stated, or the
+            two differ.
     """
     counts = read_grey(counts_path(root, name), camera, bits=16)
     path = picture_path(root, name)

@@ -17,7 +17,7 @@ from objconnect.scene.checks.report import Check, Report
 from objconnect.scene.errors import InputError
 from objconnect.scene.storage.images import read_rgb
 
-# Largest number of consecutive, hence overlapping, frames of a session whose depth is checked.
+# Largest number of consecutive, hence overlapping, frames of a flight whose depth is checked.
 _FRAMES_PER_SESSION = 24
 # Largest root mean square error of the priors, in stated standard deviations.
 _MAX_PRIOR_SIGMAS = 3.0
@@ -110,7 +110,7 @@ def _check_rigid(session: str, frames: Frames) -> Check:
 
 
 def _check_priors(session: str, frames: Frames) -> Check:
-    """Check that the priors lie within their stated noise."""
+    """Check that the measured positions and attitudes (priors) lie within their stated noise."""
     name = f"{session}: priors fit the poses"
     measured_rows = frames.has_gps
     if not measured_rows.any():

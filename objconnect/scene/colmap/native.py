@@ -30,7 +30,7 @@ LEAST_VARIANCE = 0.01
 
 MIN_FREE_BYTES = 64 << 20
 """Free disk space required before a step (bytes), because COLMAP ends the process on a full disk.
-A chunk of pairs with its journal takes less."""
+A chunk of pairs with SQLite's journal takes less."""
 
 
 def _restore_sigterm() -> None:

@@ -248,7 +248,7 @@ class MeasuredPositions:
         centres: measured camera centres by name of the photograph, (3,) world metres.
         sigma: standard deviation per axis, (3,) metres.
         up_sigma: standard deviation of the height, metres, by name of the photograph; it replaces
-            that of ``sigma``.
+            the third value of ``sigma``.
     """
 
     centres: Mapping[str, NDArray[np.float64]]

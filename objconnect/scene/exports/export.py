@@ -30,7 +30,7 @@ def export(
         path: path of a finished scene.
         file_format: a name of ``objconnect.scene.exports.formats.FORMATS``.
         out: folder, new or empty.
-        sessions: names of the sessions to write; empty means all.
+        sessions: names of the sessions (flights) to write; empty means all.
         settings: options of the format, which are the parameters of its writer after the first
             four; None means the default.
 

@@ -31,7 +31,7 @@ from objconnect.scene.storage.hdf5_writing import open_hdf5
 from objconnect.scene.storage.names import quote_name
 
 PAIRS_PER_QUERY: Final = 20
-"""Largest number of map frames that a query is paired with."""
+"""Largest number of map photographs that a query is paired with."""
 
 
 def write(scene: Scene, sessions: Mapping[str, Frames], folder: Path, final: Path) -> None:

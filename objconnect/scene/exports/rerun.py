@@ -1,8 +1,8 @@
 """Export to rerun: ``scene.rrd`` for the viewer of https://rerun.io.
 
-The world is right-handed with Z up. Each session has a trajectory, and cameras on the time lines
-``frame`` (number in the session) and ``time`` (if photographs have a time). Cameras are pinholes,
-because rerun draws no distortion. The map's points are static.
+The world is right-handed with Z up. Each session (flight) has a trajectory, and cameras on the time
+lines ``frame`` (number in the session) and ``time`` (if photographs have a time). Cameras are
+pinholes, because rerun draws no distortion. The map's points are static.
 
 Only this module imports rerun, which the extra ``[rerun]`` installs.
 """

@@ -1,6 +1,6 @@
 """Export of trajectories in the format of the TUM RGB-D benchmark (Sturm et al., IROS 2012).
 
-Each session is a file ``SESSION.txt`` with lines "timestamp tx ty tz qx qy qz qw" of
+Each session (flight) is a file ``SESSION.txt`` with lines "timestamp tx ty tz qx qy qz qw" of
 world_from_cam, in seconds and metres.
 """
 

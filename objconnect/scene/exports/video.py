@@ -1,7 +1,7 @@
-"""Export as a drone's recording: ``SESSION.MP4`` with telemetry in ``SESSION.SRT``.
+"""Export of each flight as a drone's recording: ``SESSION.MP4``, with telemetry in ``SESSION.SRT``.
 
-The subtitles have the form of recent DJI drones. Position and gimbal are the session's noisy
-priors; ``abs_alt`` is the altitude above the ellipsoid, because scenes have no sea level.
+The subtitles have the form of recent DJI drones. Position and gimbal are noisy measurements
+(priors); ``abs_alt`` is the altitude above the ellipsoid, because scenes have no sea level.
 ``SESSION-poses.txt`` holds the true poses, lines "name qw qx qy qz tx ty tz" of cam_from_world with
 the frame names of ``localize --video``; ``SESSION-times.csv`` holds the seconds of each frame.
 """

@@ -1,1 +1,1 @@
-"""Text files of a flight: poses, priors, cameras, origin."""
+"""Text files of a flight: poses, priors (approximate poses), cameras, origin."""

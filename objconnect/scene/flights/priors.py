@@ -1,4 +1,4 @@
-"""Tables of priors, and the conversion of their rows to priors in the map's frame."""
+"""Tables of priors (approximate camera poses), and their conversion to the map's frame."""
 
 from __future__ import annotations
 

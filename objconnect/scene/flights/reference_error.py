@@ -1,4 +1,4 @@
-"""The error of a flight's reference poses, ``reference_error.json``."""
+"""The error of the reference poses that results are scored against, ``reference_error.json``."""
 
 from __future__ import annotations
 
@@ -36,19 +36,19 @@ class ReferencePoseError(Record):
         return self
 
     def can_judge(self, threshold_m: float) -> bool:
-        """Return whether the reference poses are exact enough to judge a threshold, metres.
+        """Return whether the reference poses are exact enough for recall at a threshold, metres.
 
         Their error may be at most half of the threshold, and must be known.
         """
         return self.metres is not None and self.metres <= _MAX_ERROR_SHARE * threshold_m
 
     def text(self) -> str:
-        """Return the error and the thresholds that it allows, in one line."""
+        """Return the error, and from which threshold on recall can be measured, in one line."""
         if self.metres is None:
-            return "reference poses: their error is unknown, so no threshold can be judged"
+            return "reference poses: their error is unknown, so recall cannot be measured"
         return (
-            f"reference poses: 90 % within {self.metres:.2f} m ({self.source}); thresholds below "
-            f"{self.metres / _MAX_ERROR_SHARE:.2f} m cannot be judged"
+            f"reference poses: 90 % within {self.metres:.2f} m ({self.source}); recall below "
+            f"{self.metres / _MAX_ERROR_SHARE:.2f} m cannot be measured"
         )
 
 

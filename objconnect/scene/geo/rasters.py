@@ -201,7 +201,7 @@ class Raster:
         return known
 
     def _heights(self, source: Any, window: Any) -> NDArray[np.float32]:
-        """Return heights in metres, (1, H, W); NaN for impossible heights and holes."""
+        """Return heights in metres, (1, H, W); NaN if impossible or undeclared no data."""
         metres = self.layout.to_metres
         dtype = np.float32 if metres.is_metres else np.float64
         values = source.read(list(self.bands), window=window, out_dtype=dtype)

@@ -131,7 +131,7 @@ def median_place(places: Sequence[Geodetic]) -> Geodetic:
     """Return the median of places, also across longitude 180.
 
     Longitudes are measured from the longitude of the median earth-centred position, so that they do
-    not wrap. Unknown altitudes are ignored; if all are unknown, so is the median.
+    not wrap. Unknown altitudes are ignored; if all are unknown, the median is NaN.
     """
     with_altitudes = [p._replace(altitude=0.0) if math.isnan(p.altitude) else p for p in places]
     x, y, _ = np.median([ecef_from_geodetic(place) for place in with_altitudes], axis=0).tolist()

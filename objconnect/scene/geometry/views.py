@@ -174,7 +174,7 @@ class WarpedImage:
         return _rotate_pose(torch.from_numpy(self.view_from_camera.T.copy()), view_from_world)
 
     def photograph_covariance(self, covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the covariance (6, 6) of the photograph's pose, given that of the view's.
+        """Return the covariance (6, 6) of the photograph's pose, given the view's covariance.
 
         An infinite covariance stays unchanged.
         """

@@ -152,7 +152,7 @@ def _matrices(reconstruction: _Reconstruction) -> NDArray[np.float64]:
 
 
 def _shots(path: Path, reconstruction: _Reconstruction) -> Shots | None:
-    """Return the shots in the frame of the file; None if it has no place on earth."""
+    """Return the shots in the frame of the file; None if it has no position on earth."""
     origin = _origin(path, reconstruction.reference_lla)
     if origin is None:
         return None

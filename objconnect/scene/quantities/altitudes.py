@@ -19,7 +19,7 @@ _HIGHEST_M: Final = 1e6
 # Largest difference (m) of altitudes above the ellipsoid and above the sea, with barometer drift.
 _LARGEST_DIFFERENCE_M: Final = 150.0
 SEA_LEVEL_DOUBT: Final = "says sea level, which may be 100 m from the ellipsoid"
-"""End of the doubt about an altitude that refers to sea level."""
+"""End of the warning about an altitude that refers to sea level."""
 
 # Values of GPSAltitudeRef: below its reference, above or below the sea, and all of them.
 _BELOW: Final = (1, 3)

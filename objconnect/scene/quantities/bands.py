@@ -31,7 +31,7 @@ class ColourBands:
     Attributes:
         colours: numbers of the red, green and blue band, or of one band, from 1.
         alpha: number of the alpha band; None if there is none.
-        palette: whether the one band holds indices of a colour table.
+        palette: whether the single band holds indices of a colour table.
     """
 
     colours: tuple[int, ...]

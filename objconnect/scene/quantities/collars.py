@@ -1,4 +1,4 @@
-"""White or black collars of orthophotos that their files do not declare as no data."""
+"""White or black collars (borders) of orthophotos that their files do not declare as no data."""
 
 from __future__ import annotations
 

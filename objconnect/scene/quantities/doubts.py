@@ -1,4 +1,4 @@
-"""Summary of the doubts about many files in a few lines."""
+"""Summary of the doubts (warnings about metadata) of many files in a few lines."""
 
 from __future__ import annotations
 

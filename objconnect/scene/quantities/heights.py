@@ -10,7 +10,7 @@ from objconnect.scene.quantities.lengths import metres_per
 from objconnect.scene.quantities.reading import Reading, known, unknown
 
 NO_UNIT: Final = "no unit"
-"""The doubt about a band whose heights have no unit."""
+"""The warning about a band whose heights have no unit."""
 
 # Units whose lengths differ relatively by less than this are treated as equal, for example
 # international and US survey feet (2e-6).
@@ -49,7 +49,7 @@ def band_to_metres(
             recognized.
 
     Returns:
-        The conversion. If no source names a unit, values are taken as metres, with a doubt.
+        The conversion. If no source names a unit, values are taken as metres, with a warning.
     """
     if not (math.isfinite(scale) and math.isfinite(offset)) or scale == 0:
         return unknown("the height", f"the band's scale is {scale:g}, its offset {offset:g}")

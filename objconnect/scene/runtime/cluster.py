@@ -23,7 +23,7 @@ from typing import Any, Final, Generic, TypeVar
 from objconnect.scene.errors import InputError
 from objconnect.scene.runtime.tuning import ProcessTuning, is_tuned
 
-# Number of retries of a unit whose worker is lost or that fails other than by InputError.
+# Number of retries of a unit of work whose worker is lost or that fails other than by InputError.
 _RETRIES: Final = 5
 # Timeout of the connection to the head of a cluster (s).
 _CONNECT_TIMEOUT_S: Final = 10
@@ -124,7 +124,7 @@ class _RayPool(WorkerPool[Unit, Result]):
         except ray.exceptions.RayError as error:
             reason = str(error).strip().splitlines()[0]
             raise InputError(
-                f"a unit of work was lost {_RETRIES + 1} times: {reason}; run again to go on"
+                f"a unit of work was lost {_RETRIES + 1} times: {reason}; run again to continue"
             ) from None
         finally:
             for unfinished in running:

@@ -21,7 +21,7 @@ def resident_bytes() -> int:
 
 
 def reset_peak() -> None:
-    """Reset the peak if the system allows it; else it remains that of the whole process."""
+    """Reset the peak if the system allows it; else the peak of the whole process remains."""
     try:
         _CLEAR.write_text("5")  # resets VmHWM
     except OSError:

@@ -20,7 +20,7 @@
 - ``listing``: listing of input files, without hidden and system files.
 - ``provenance``: metadata that marks images written by this program.
 - ``records``: the base class of JSON records.
-- ``answers``: records of poses in results files and journals.
+- ``answers``: poses in results files, and in journals that resume interrupted runs.
 - ``lru_cache``: a cache bounded in bytes.
 - ``user_cache``: the folder of the user's caches.
 """

@@ -1,4 +1,4 @@
-"""Records of poses in results files and journals."""
+"""Poses in results files, and in journals that resume interrupted runs."""
 
 from __future__ import annotations
 

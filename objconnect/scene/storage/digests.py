@@ -69,7 +69,8 @@ def sha256(*pieces: str | bytes | NDArray[Any]) -> str:
 def digest_of(*parts: object) -> str:
     """Return a digest of the inputs of a result: of the bytes of arrays, else of their text.
 
-    It is the key of caches and journals. Each part is preceded by its length.
+    It is the key of caches, and of journals that resume interrupted runs. Each part is preceded by
+    its length.
 
     Examples:
         >>> digest_of("ab", "c") == digest_of("a", "bc")

@@ -75,7 +75,7 @@ class Exif:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Return all doubts."""
+        """Return all phrases about position, lens, time and attitude."""
         return (*self.place_doubts, *self.lens_doubts, *self.capture_doubts)
 
     @property

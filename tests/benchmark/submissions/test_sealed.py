@@ -234,7 +234,7 @@ def test_commands_that_score_say_that_poses_are_sealed(hamlet: Path, tmp_path: P
         words = [command, tmp_path / "public", "--method", "sift", "--out", tmp_path / "results"]
         result = CliRunner().invoke(app, list(map(str, words)))
         assert result.exit_code == 2
-        assert "are sealed, so it cannot be scored here: 'objconnect submit'" in result.output
+        assert "are withheld, so it cannot be scored here: 'objconnect submit'" in result.output
         assert len(result.output.strip().splitlines()) == 1
     assert not (tmp_path / "results").exists()
 
@@ -242,7 +242,7 @@ def test_commands_that_score_say_that_poses_are_sealed(hamlet: Path, tmp_path: P
 def test_a_start_from_reference_poses_is_refused(hamlet: Path, tmp_path: Path) -> None:
     publish([hamlet], tmp_path / "public", sealed=True)
     for start in ("error=3m,5deg", "gps=50m", "gravity"):
-        with pytest.raises(InputError, match="is made from the reference poses, which are sealed"):
+        with pytest.raises(InputError, match="made from the reference poses, which are withheld"):
             write_answers(
                 tmp_path / "public", FakeLocalizer({}), tmp_path / "out", parse_start(start)
             )
@@ -314,7 +314,7 @@ def test_a_submission_scores_as_evaluate_does(
     publish([scene], tmp_path / "public", sealed=True)
     (task,) = open_tasks(tmp_path / "public")
     assert task.sha256 == place.public_sha256
-    with pytest.raises(InputError, match="are sealed"):
+    with pytest.raises(InputError, match="are withheld"):
         open_datasets(tmp_path / "public")
 
     (dataset,) = open_datasets(scene)

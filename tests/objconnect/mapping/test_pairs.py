@@ -247,7 +247,7 @@ def test_dates_that_do_not_agree_are_told(pair: Pair, tmp_path: Path, unmapped: 
     assert result.exit_code == 0, result.output
     (line,) = (x for x in result.output.splitlines() if x.startswith("registration unknown: "))
     assert line.endswith("compare the two files; if you know the error, give --residual METRES")
-    assert "no threshold can be judged" in result.output
+    assert "recall cannot be measured" in result.output
     error = read_reference_error(out)
     assert error is not None and (error.metres, error.source) == (None, "unknown")
 
