@@ -53,8 +53,7 @@ def page(groups: Sequence[Group]) -> str:
     """Return the page.
 
     Args:
-        groups: groups of runs. Albums (thumbnails of the queries) and basins of convergence are
-            read from the folders of their results.
+        groups: groups of runs. Thumbnails and basins of convergence are read beside their results.
 
     Raises:
         InputError: an album or a basin is damaged.
