@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benchmark.datasets.dataset import BenchmarkQuery, Dataset
-from benchmark.report.pictures import project_points, space_points
+from benchmark.report.pictures import project_points, thin_points
 from objconnect.scene.errors import HDF5_DAMAGE, InputError
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose
@@ -135,7 +135,7 @@ def _make_entry(query: BenchmarkQuery, sparse_map: SparseMap) -> Entry:
     observations = shared[neighbour] if neighbour is not None else np.zeros(0, np.int64)
     points = sparse_map.images[neighbour].point_rows[observations] if neighbour else observations
     cell = max(query.camera.width, query.camera.height) / _CELLS
-    chosen = space_points(
+    chosen = thin_points(
         truth[points], np.ones(len(points), np.bool_), sparse_map.track_length[points], cell
     )
     rows = points[chosen]

@@ -56,7 +56,7 @@ def query_overlay(
 
     image = read_rgb(query.image, query.camera)
     truth, visible = project_points(sparse_map.xyz, query.camera, query.reference)
-    rows = space_points(truth, visible, sparse_map.track_length, _CELL)
+    rows = thin_points(truth, visible, sparse_map.track_length, _CELL)
     truth = truth[rows]
     estimated_xy, valid = project_points(sparse_map.xyz[rows], query.camera, estimated)
 
@@ -112,7 +112,7 @@ def project_points(
     return projected.xy.numpy(), inside.numpy()
 
 
-def space_points(
+def thin_points(
     xy: NDArray[np.float64],
     visible: NDArray[np.bool_],
     track_length: NDArray[np.int64],

@@ -187,7 +187,7 @@ class _TiledHeights(Heightfield):
     place: TiledPlace
 
     def height(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Return the ground height in metres at world x, y (metres, of any one shape)."""
+        """Return the ground height in metres at world x, y (metres, of equal shape)."""
         x, y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
         return self.place.height(np.stack([x.ravel(), y.ravel()], -1)).reshape(x.shape)
 

@@ -43,7 +43,7 @@ class Heightfield:
         return 0.5 * (len(self.nodes) - 1) * self.spacing_m
 
     def height(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
-        """Return the bilinear ground height in metres at world x, y (metres, of any one shape)."""
+        """Return the bilinear ground height in metres at world x, y (metres, of equal shape)."""
         last = len(self.nodes) - 1
         cells = []
         for coordinate in (x, y):
@@ -127,7 +127,7 @@ class Ground:
     markings: tuple[Marking, ...]
 
     def texel(self, x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the row and the column at world x, y (metres, of any one shape), mirrored beyond
+        """Return the row and the column at world x, y (metres, of equal shape), mirrored beyond
         the raster."""
         n = len(self.labels)
         column, row = (
@@ -137,7 +137,7 @@ class Ground:
         return row, column
 
     def label(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.uint8]:
-        """Return the semantic label at world x, y (metres, of any one shape).
+        """Return the semantic label at world x, y (metres, of equal shape).
 
         The labels are mirrored within ``MIRRORED_M`` beyond the raster, and are grass farther out.
         """

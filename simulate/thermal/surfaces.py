@@ -55,10 +55,10 @@ class Surfaces:
     def temperature(
         self, substance: NDArray[np.int16], albedo: Float, sunlight: Float, sky_view: Float
     ) -> Float:
-        """Return the temperature of surfaces of any one shape, kelvin.
+        """Return the temperature of surfaces, kelvin; all arrays have the same shape.
 
         Args:
-            substance: Numbers of the substances.
+            substance: Indices of the substances.
             albedo: Shares of sunlight that the surfaces reflect.
             sunlight: Irradiance averaged over the past hours with the weights of the substance,
                 W/m2.

@@ -225,7 +225,7 @@ MUTANTS: Final = (
     Mutant(
         "pixloc learns from the steps that help alone",
         "objconnect/localization/featuremetric/training.py",
-        "Options(iterations=_ITERATIONS, careful=False)",
+        "Options(iterations=_ITERATIONS, adaptive_damping=False)",
         "Options(iterations=_ITERATIONS)",
         (f"{_PIXLOC}::test_poses_are_those_of_eight_plain_steps_on_the_points_that_count",),
     ),

@@ -55,7 +55,7 @@ _MIN_THREADED_POINTS: Final = 1024
 def descend_compiled(
     cost: LevelCost, pose: Pose, active: Tensor, damping: Tensor, options: Options
 ) -> State:
-    """Minimise the cost of one level as ``descent.descend`` does with careful steps.
+    """Minimise the cost of one level as ``descent.descend`` does with adaptive damping.
 
     Arguments are those of ``descent.descend``.
     """

@@ -41,7 +41,7 @@ def descend(
     Returns:
         The final poses (M) with the cost around them.
     """
-    if options.careful and can_be_compiled(cost):
+    if options.adaptive_damping and can_be_compiled(cost):
         from objconnect.localization.align.compiled_loops import descend_compiled
 
         return descend_compiled(cost, pose, active, damping, options)
@@ -63,7 +63,7 @@ def descend(
         trial_pose = apply_step(state.pose, step)
         state = replace(state, iterations=state.iterations + 1)
         trial = replace(state, pose=trial_pose, linearisation=linearise(cost, trial_pose))
-        if options.careful:
+        if options.adaptive_damping:
             better = _cost_falls(current, trial.linearisation, options.min_points)
             state = choose(better, trial, state)
             factor = torch.where(better, 1 / DAMPING_CHANGE, DAMPING_CHANGE)[:, None]

@@ -11,10 +11,10 @@ class Options:
     """Options of the alignment on a level.
 
     Attributes:
-        iterations: number of steps per level; the maximum number if ``careful``.
-        careful: whether a step is accepted only if the cost falls (else a shorter step is tried),
-            and a level ends when steps become small. If False, every step is taken, and the pose is
-            differentiable in features, confidences and damping, for training.
+        iterations: number of steps per level; the maximum number with ``adaptive_damping``.
+        adaptive_damping: whether a step is accepted only if the cost falls (else the damping is
+            increased), and a level ends when steps become small. If False, every step is taken,
+            and the pose is differentiable in features, confidences and damping, for training.
         border_cells: cells at the edge of a feature map in which points are ignored; at least 1.
         robust_scale: norm of a residual above which it loses weight.
         min_points: minimum number of points in view; with fewer the alignment fails.
@@ -24,7 +24,7 @@ class Options:
     """
 
     iterations: int = 15
-    careful: bool = True
+    adaptive_damping: bool = True
     border_cells: float = 1.0
     robust_scale: float = 0.1
     min_points: int = 10

@@ -128,7 +128,7 @@ def unroll_alignment(
     """
     factors = [each() for each in damping]
     inputs = batch.points, batch.intrinsics_b, batch.start
-    options = Options(iterations=_ITERATIONS, careful=False)
+    options = Options(iterations=_ITERATIONS, adaptive_damping=False)
     return align(Problem(levels, *inputs, factors, options, batch.valid)).level_poses
 
 

@@ -53,7 +53,7 @@ def test_pose_between_two_pictures(network: PixlocNet) -> None:
                     official.CAMERA.intrinsics(),
                     start,
                     [damping()],
-                    Options(iterations=15, careful=False, border_cells=3),
+                    Options(iterations=15, adaptive_damping=False, border_cells=3),
                     inside[None],
                 )
             )

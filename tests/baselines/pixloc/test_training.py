@@ -171,7 +171,7 @@ def test_poses_are_those_of_eight_plain_steps_on_the_points_that_count() -> None
     pose = batch.start
     for level, factors, ended in zip(fewer, damping, found, strict=True):
         for _ in range(8):
-            step = Options(iterations=1, careful=False)
+            step = Options(iterations=1, adaptive_damping=False)
             place = batch.points[:, :40], batch.intrinsics_b, pose
             pose = align(Problem([level], *place, [factors()], step)).pose
         torch.testing.assert_close(ended.translation, pose.translation, atol=1e-3, rtol=1e-3)

@@ -17,7 +17,7 @@ from objconnect.scene.geometry.pose import Pose
 from tests.objconnect.localization.align.world import PINHOLE, World, looking_down
 
 DAMPING = [torch.full((6,), 1e-3)] * 3
-PLAIN = Options(iterations=8, careful=False)
+PLAIN = Options(iterations=8, adaptive_damping=False)
 
 
 @dataclass(frozen=True)

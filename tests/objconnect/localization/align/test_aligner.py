@@ -129,9 +129,9 @@ def never_nan(found: Alignment) -> None:
         assert not tensor.isnan().any()
 
 
-@pytest.mark.parametrize("careful", [True, False])
-def test_what_cannot_be_aligned_says_why(careful: bool) -> None:
-    options = Options(careful=careful)
+@pytest.mark.parametrize("adaptive_damping", [True, False])
+def test_what_cannot_be_aligned_says_why(adaptive_damping: bool) -> None:
+    options = Options(adaptive_damping=adaptive_damping)
     problem = small(0)
     start = one(problem.truth)
 

@@ -24,7 +24,7 @@ def test_poses_are_those_of_the_official_optimizer(name: str) -> None:
         damping.append(module())
     start = Pose(at.start.rotation[None], at.start.translation[None])
     for count in ITERATIONS:
-        options = Options(iterations=count, careful=False, border_cells=4)
+        options = Options(iterations=count, adaptive_damping=False, border_cells=4)
         found = align(
             Problem(at.levels, at.points[None], at.camera.intrinsics(), start, damping, options)
         )
