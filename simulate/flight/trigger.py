@@ -28,7 +28,8 @@ class Repeater:
         is_timer: Whether ``interval`` and ``remaining`` are seconds.
         count: Number of photographs left; None is unlimited.
         command: The command that started the trigger.
-        since_m: Distance since the trigger's last photograph, metres.
+        since_m: Distance since the last photograph that was due, metres. Photographs that a command
+            takes at once do not count.
     """
 
     interval: float
@@ -154,15 +155,14 @@ class Triggers:
             raise command.error(f"has params[2] {at_once:g}", "set it to 0 or 1")
         repeater = self.running.get(Mav.TRIGGER_DISTANCE)
         since_m = math.inf if repeater is None else repeater.since_m
-        takes_photograph = at_once == 1 and since_m > _MIN_DISTANCE_M
         if spacing_m > 0:
             self._start(command, spacing_m)
-            self.running[Mav.TRIGGER_DISTANCE].since_m = 0.0 if takes_photograph else since_m
+            self.running[Mav.TRIGGER_DISTANCE].since_m = since_m
         elif spacing_m in (0, -1):
             self._stop(command, Mav.TRIGGER_DISTANCE)
         else:
             raise command.error(f"has the distance {spacing_m:g} m (params[0])", "set it above 0")
-        return takes_photograph
+        return at_once == 1 and since_m > _MIN_DISTANCE_M
 
     def _oblique(self, command: Command) -> None:
         spacing_m = command.number(0, "distance")
