@@ -88,13 +88,13 @@ def _build(
     rgb = sample_colours(files.colours, origin, grids.texels)
     n, texel_m = len(rgb), grids.texels.spacing_m
     closed_share = _check_holes(
-        surface, grids.nodes, grids.margin_m, site.most_closed, "surface model"
+        surface, grids.nodes, grids.margin_m, site.max_missing_heights, "surface model"
     )
     surface, closed = close_holes(surface, grids.nodes.spacing_m)
     texel_heights = _interpolate(surface, n)
     rgb = _fill_from_photographs(rgb, texel_heights, grids.texels, files.photographs)
     hole_share = _check_holes(
-        rgb[..., 0], grids.texels, grids.margin_m, site.most_holes, "orthophoto"
+        rgb[..., 0], grids.texels, grids.margin_m, site.max_missing_colours, "orthophoto"
     )
     rgb, _ = close_holes(rgb, texel_m)
     bare_ground = estimate_ground(surface, grids.nodes.spacing_m)

@@ -54,13 +54,13 @@ class SiteConfig(Config):
         description="Mean albedo of the site, 0 to 0.6. None makes the rendering as bright as the "
         "orthophoto at noon of its season.",
     )
-    most_holes: float = Field(
+    max_missing_colours: float = Field(
         0.3,
         ge=0,
         lt=1,
         description="Maximum share of the area without colours, which are interpolated.",
     )
-    most_closed: float = Field(
+    max_missing_heights: float = Field(
         0.5,
         ge=0,
         lt=1,

@@ -1,4 +1,9 @@
-"""All numbers that the leaderboard page of the tracks shows; the page computes none itself."""
+"""All numbers that the leaderboard page of the tracks shows; the page computes none itself.
+
+Keys of the data: ``courses`` is the number of flight paths, ``bounded`` the recall at bounded risk,
+``surest`` the risk-coverage curve, and ``same`` whether a query shows the map's season. Recall at a
+threshold is *judged* if the reference poses are exact enough for it.
+"""
 
 from __future__ import annotations
 

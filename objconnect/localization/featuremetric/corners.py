@@ -110,10 +110,10 @@ def all_corners(
             damaged.
     """
 
-    def rows(earlier: EarlierRows) -> Rows:
+    def rows(read_earlier: EarlierRows) -> Rows:
         def find_row(name: str) -> Row:
             key = digest_of(_FORMAT, *parts, find.digest_inputs(name, map_cache.digests))
-            return key, earlier(key, ["xyz"]) or {"xyz": find(name).xyz}
+            return key, read_earlier(key, ["xyz"]) or {"xyz": find(name).xyz}
 
         with progress_bar("corners of the map", len(map_cache.names)) as advance:
             found = map_in_threads(find_row, map_cache.names)

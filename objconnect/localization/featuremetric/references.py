@@ -197,7 +197,7 @@ def write_part(source: ReferenceSource, observer: FeatureObserver | None) -> Non
 
 
 def _compute_rows(
-    source: ReferenceSource, observer: FeatureObserver | None, earlier: EarlierRows
+    source: ReferenceSource, observer: FeatureObserver | None, read_earlier: EarlierRows
 ) -> Rows:
     """Run the network on photographs of a map and yield the features at their points."""
     map_cache = source.map_cache
@@ -213,7 +213,7 @@ def _compute_rows(
             points = np.concatenate([_reliable_points(image, map_cache.sparse_map), corners])
             view_key = views.key(image)
             key = digest_of(_FORMAT, view_key, image.cam_from_world, points, source.points)
-            arrays = earlier(key, source.array_names)
+            arrays = read_earlier(key, source.array_names)
             if arrays is None or (observer is not None and observer.needs(image, view_key)):
                 view, maps = views(image)
                 if observer is not None:

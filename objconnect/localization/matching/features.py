@@ -163,7 +163,7 @@ def map_features(map_cache: MapCache, extractor: Extractor) -> Mapping[str, Feat
         map_cache = map_cache.whole
     keys = {name: _key(map_cache, extractor, name) for name in map_cache.names}
 
-    def rows(earlier: EarlierRows) -> Rows:
+    def rows(read_earlier: EarlierRows) -> Rows:
         names, size = map_cache.names, _BATCH_PHOTOGRAPHS if extractor.rotation_invariant else 1
         with progress_bar(f"{extractor.name} map features", len(names)) as advance:
             for first in range(0, len(names), size):
@@ -171,7 +171,7 @@ def map_features(map_cache: MapCache, extractor: Extractor) -> Mapping[str, Feat
                 features: dict[str, Arrays] = {
                     name: known
                     for name in batch
-                    if (known := earlier(keys[name], _ARRAYS)) is not None
+                    if (known := read_earlier(keys[name], _ARRAYS)) is not None
                 }
                 missing = [name for name in batch if name not in features]
                 if missing:

@@ -174,7 +174,7 @@ def _find_fault(parts: Sequence[float]) -> str:
         if abs(value - round(value)) > _WHOLE_TOLERANCE and any(values[k + 1 :]):
             return f"has a fraction of {_PARTS[k]} and {_PARTS[k + 1]} as well"
     last = values[-1]
-    # Such a position has lost its fraction: a whole minute of latitude is 1.9 km.
+    # The fraction was probably cut off: a minute of latitude is 1.9 km.
     if len(values) < len(_PARTS) and abs(last - round(last)) <= _WHOLE_TOLERANCE:
-        return f"ends with whole {_PARTS[len(values) - 1]}"
+        return f"has whole {_PARTS[len(values) - 1]} and no fraction"
     return ""
