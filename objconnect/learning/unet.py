@@ -19,9 +19,9 @@ STRIDES: Final = (16, 8, 4, 2, 1)
 """Strides of the maps that a decoder can make, px per cell, coarse to fine."""
 # Number of rows that are decoded at once: an even number, small enough for the processor's cache.
 _ROWS: Final = 64
-# Margin of cells that are computed around the needed cells. Interpolated slopes need two. The next
-# finer level needs half of its own margin and of the cell that its convolution adds, and one cell
-# for the resizing: at most (4 + 1) / 2 + 1 cells.
+# Margin of cells that are computed around the needed cells. Interpolating gradients takes two. For
+# the next finer level, a level needs half of that level's margin plus one cell of its convolution,
+# and one cell for resizing: at most (4 + 1) / 2 + 1 cells.
 _MARGIN: Final = 4
 
 

@@ -29,7 +29,10 @@ _EDGE_SIZE: Final = 12
 
 
 class _Layer(nn.Module):
-    """One round of messages, each the ReLU of node, neighbour and edge features."""
+    """One round of messages, each the ReLU of node, neighbour and edge features.
+
+    The parts ``own``, ``other`` and ``where`` compute these, the last from the neighbour's offset.
+    """
 
     def __init__(self, size: int) -> None:
         super().__init__()
@@ -99,7 +102,7 @@ class ConstellationGraph(nn.Module):
         self,
         vectors: Tensor,
         xy: Tensor,
-        rise: Tensor,
+        height: Tensor,
         side: Tensor,
         neighbour_rows: Tensor,
         exists: Tensor,
@@ -109,12 +112,12 @@ class ConstellationGraph(nn.Module):
         Args:
             vectors: (N, V) vectors of the objects.
             xy: (H, N, 2) positions to the east and north, metres.
-            rise: (H, N) heights of the centres above the ground, metres.
-            side: (H, N) sides of squares of the objects' sizes, metres.
+            height: (H, N) heights of the centres above the ground, metres.
+            side: (H, N) side lengths of squares with the objects' areas, metres.
             neighbour_rows: (N, k) rows of the neighbours.
             exists: (N, k) 1 if the neighbour exists, else 0.
         """
-        extent = torch.stack([side.clamp_min(0.1).log(), rise.clamp(-5, 50) / 5], -1)
+        extent = torch.stack([side.clamp_min(0.1).log(), height.clamp(-5, 50) / 5], -1)
         per_hypothesis = vectors.expand(len(xy), -1, -1)
         nodes = self.node(torch.cat([per_hypothesis, extent], -1))
         if len(self.layers):

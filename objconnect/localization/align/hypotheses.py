@@ -48,8 +48,8 @@ _MERGE_ITERATIONS: Final = 4
 _ROUGH_CONVERGENCE: Final = 8.0
 # Mean distance of projected points (cells) below which poses are the same.
 _SAME_POSE_CELLS: Final = 0.5
-# Least number of cells over which the cost by chance is averaged, if the picture has that many.
-# Fewer than twice as many are used.
+# Minimum number of cells over which the cost by chance is averaged, if the picture has that many;
+# at most twice as many are used.
 _CHANCE_CELLS: Final = 256
 
 
@@ -276,7 +276,7 @@ def _cost_by_chance(level: Level, robust_scale: float) -> Tensor:
     cost = _costs(cells[..., sampled], level.reference, robust_scale).mean(-2)
     if level.confidence is None:
         return cost.mean(-1)
-    # Only cells that show the photograph are averaged.
+    # Only cells covered by the photograph are averaged.
     shown = (level.confidence.flatten(1)[:, sampled] > 0).to(cost)
     return (cost * shown).sum(-1) / shown.sum(-1).clamp_min(1)
 

@@ -36,21 +36,21 @@ def import_dialect() -> ModuleType:
 
 
 def encode_telemetry_log(
-    poses: Sequence[StampedPose], undulation_m: float | None, mark: str
+    poses: Sequence[StampedPose], undulation_m: float | None, program: str
 ) -> bytes:
     """Return a telemetry log, in which each message follows its time (8 bytes, microseconds).
 
     Each pose is written as two messages. GLOBAL_POSITION_SENSOR is what PX4 uses as auxiliary
-    global position; its ``eph`` and ``epv`` are the accuracy on earth. ODOMETRY has the position
+    global position; its ``eph`` and ``epv`` are the absolute accuracy. ODOMETRY has the position
     from the map's origin in MAV_FRAME_LOCAL_NED and the attitude of the camera, not of the vehicle
-    (MAV_FRAME_BODY_FRD: forward is the optical axis); its covariance is within the map, about the
-    axes of the local frame. Unknown values are NaN, as MAVLink specifies.
+    (MAV_FRAME_BODY_FRD: forward is the optical axis); its covariance is relative to the map, about
+    the axes of the local frame. Unknown values are NaN, as MAVLink specifies.
 
     Args:
         poses: sorted by time.
         undulation_m: height of the geoid above the ellipsoid, metres; if None, altitudes above sea
             level are NaN.
-        mark: name of the program that made the log.
+        program: name of the program that made the log.
 
     Raises:
         InputError: pymavlink is not installed.
@@ -58,7 +58,7 @@ def encode_telemetry_log(
     common = import_dialect()
     link = common.MAVLink(None, _SYSTEM, common.MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY)
     first = poses[0].microseconds if poses else 0
-    text = common.MAVLink_statustext_message(common.MAV_SEVERITY_INFO, mark.encode())
+    text = common.MAVLink_statustext_message(common.MAV_SEVERITY_INFO, program.encode())
     messages = [(first, text)]
     for stamped in poses:
         messages.append((stamped.microseconds, _global_position(common, stamped, undulation_m)))
