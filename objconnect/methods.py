@@ -63,7 +63,7 @@ LOCALIZERS: Final[Registry[LocalizerFactory]] = Registry(
         ),
         "prior": _lazy_factory("baselines.prior", "PriorConfig", "PriorLocalizer"),
     },
-    unknown="unknown {kind} {name!r}; known: {names}",
+    unknown_message="unknown {kind} {name!r}; known: {names}",
 )
 
 TRAINABLES: Final[Registry[Callable[[TrainConfig], Trainable]]] = Registry(
@@ -75,7 +75,7 @@ TRAINABLES: Final[Registry[Callable[[TrainConfig], Trainable]]] = Registry(
         "objconnect": Lazy("objconnect.network.training:ObjConnectTraining"),
         "objects": Lazy("objconnect.network.object_training:ObjectTraining"),
     },
-    unknown="{kind} {name!r} cannot be trained; those that can: {names}",
+    unknown_message="{kind} {name!r} cannot be trained; those that can: {names}",
 )
 
 METHODS: Final = tuple(LOCALIZERS.built_in)
@@ -105,7 +105,7 @@ def create(name: str, overrides: Mapping[str, Any]) -> Localizer:
         InputError: the name or a key is unknown, a value is invalid, or a package's localizer
             cannot be built.
     """
-    with LOCALIZERS.blame(name, "cannot be made"):
+    with LOCALIZERS.convert_errors(name, "cannot be made"):
         localizer = LOCALIZERS.load(name, "cannot be made")(dict(overrides))
     _give_matcher(localizer)
     entry_point = LOCALIZERS.entry_point(name)

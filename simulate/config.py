@@ -31,7 +31,7 @@ from simulate.place.tiles import MAX_TILED_SIDE_M
 from simulate.render.job import Denoising
 from simulate.seeds import MAX_SEED, change_generator
 from simulate.session_syntax import Role, parse_session
-from simulate.twin.options import LEAST_SITE_M, SiteConfig
+from simulate.twin.options import MIN_SITE_SIDE_M, SiteConfig
 
 # The most samples per pixel that Cycles accepts.
 _MOST_SAMPLES = 1 << 24
@@ -159,7 +159,7 @@ class SimulateConfig(Config):
     )
     area: float = Field(
         200.0,
-        ge=LEAST_SITE_M,
+        ge=MIN_SITE_SIDE_M,
         le=MAX_TILED_SIDE_M,
         description="Side of the square place, m; at least 120, or 40 for a site. A procedural "
         "place of more than 2000 m consists of tiles, which are built where photographs show them.",

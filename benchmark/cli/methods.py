@@ -146,7 +146,7 @@ def publish_weights(
         typer.Option(metavar="NAME", help="Person or organization that made the weights."),
     ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Write nothing, and report the bytes.")
+        bool, typer.Option("--dry-run", help="Write nothing, and report the size.")
     ] = False,
     as_json: Json = False,
 ) -> None:

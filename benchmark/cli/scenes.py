@@ -38,7 +38,7 @@ class MapperName(StrEnum):
 
 
 class FrameName(StrEnum):
-    """The frames that another program's poses may be in."""
+    """The coordinate frames that another program's poses may be in."""
 
     TOPOCENTRIC = "topocentric"
     PROJECTED = "projected"
@@ -264,7 +264,7 @@ def export(
     emit(Summary(text, summary), as_json)
 
 
-Published = Annotated[
+ScenesToPublish = Annotated[
     list[Path],
     typer.Argument(
         metavar="SCENE", help="Scene, or folder of scenes, such as those that track renders."
@@ -289,7 +289,7 @@ Creator = Annotated[
     str | None, typer.Option(metavar="NAME", help="Person or organization that made the data set.")
 ]
 Url = Annotated[str | None, typer.Option(metavar="URL", help="Page of the data set.")]
-DryRun = Annotated[bool, typer.Option("--dry-run", help="Write nothing, and report the bytes.")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Write nothing, and report the size.")]
 Sealed = Annotated[
     bool, typer.Option("--sealed", help="Leave out the poses of queries (see track --sealed).")
 ]
@@ -299,7 +299,7 @@ Day = Annotated[str | None, typer.Option(metavar="YYYY-MM-DD", help="Day of publ
 @app.command()
 # More than six parameters: each is an option or argument of the command.
 def publish(
-    scenes: Published,
+    scenes: ScenesToPublish,
     out: Annotated[
         Path,
         typer.Option(metavar="DIR", help="New or empty folder; the data set gets its name."),

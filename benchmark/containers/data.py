@@ -106,16 +106,16 @@ def _describe_prior(prior: Prior) -> dict[str, Any]:
     quaternion w x y z, and the other sigmas are degrees.
     """
     rotation = prior.cam_from_world_rotation
-    quaternion = None
+    attitude = None
     if rotation is not None:
         import torch
 
-        quaternion = Pose(torch.from_numpy(rotation), torch.zeros(3, dtype=torch.float64))
+        attitude = Pose(torch.from_numpy(rotation), torch.zeros(3, dtype=torch.float64))
     sigma = prior.position_sigma
     return {
         "position": prior.position.tolist() if prior.has_position else None,
         "position_sigma": None if sigma is None else [_finite_or_none(x) for x in sigma.tolist()],
-        "cam_from_world": None if quaternion is None else quaternion.quaternion().tolist(),
+        "cam_from_world": None if attitude is None else attitude.quaternion().tolist(),
         "attitude_sigma_deg": _finite_or_none(prior.attitude_sigma_deg),
         "has_heading": prior.has_heading,
     }

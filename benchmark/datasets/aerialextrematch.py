@@ -1,4 +1,4 @@
-"""Reader of AerialExtreMatch-Localization: drone photographs over orthophotos of two qualities.
+"""Reader of AerialExtreMatch-Localization: drone photographs, and orthophotos of two qualities.
 
 The layout is that of the publisher's data set card (hf.co/datasets/Xecades/
 AerialExtreMatch-Localization) and of the code of its benchmark (github.com/Xecades/
@@ -75,17 +75,17 @@ READER: Final = AerialExtreMatchReader()
 
 
 def _open_quality(path: Path, scene: Scene) -> Dataset:
-    """Open the queries over the map of one quality."""
+    """Open the queries with the map of one quality."""
     references = _read_world_poses(path / _POSES, scene)
     has_priors = (path / _PRIORS).exists()
     priors = _read_world_poses(path / _PRIORS, scene) if has_priors else {}
     photographs = _find_photographs(path / _PHOTOGRAPHS)
     cameras = {Path(name).stem: camera for name, camera in read_cameras(path / _CAMERAS).items()}
-    for what, table in ((_CAMERAS, cameras), (_PHOTOGRAPHS, photographs)):
+    for file, table in ((_CAMERAS, cameras), (_PHOTOGRAPHS, photographs)):
         for name in references:
             if name not in table:
                 raise InputError(
-                    f"{path / what} has no {name}, but {path / _POSES} has its pose: add it, or "
+                    f"{path / file} has no {name}, but {path / _POSES} has its pose: add it, or "
                     "remove the pose"
                 )
     if not references:
@@ -124,22 +124,22 @@ def _open_quality(path: Path, scene: Scene) -> Dataset:
 
 
 def _read_world_poses(path: Path, scene: Scene) -> dict[str, Pose]:
-    """Read poses in the coordinates of the surface model; return them in the world of the map.
+    """Read poses in the coordinates of the surface model; return them in the map's world frame.
 
     Returns:
         cam_from_world by name of the photograph without its suffix.
     """
     heights = read_recorded_heights(scene)
     projection = Raster.open(scene.path.parent / heights.file, "surface model").grid.projection
-    lift = torch.tensor([0.0, 0.0, heights.undulation_m], dtype=torch.float64)
+    undulation = torch.tensor([0.0, 0.0, heights.undulation_m], dtype=torch.float64)
     poses: dict[str, Pose] = {}
     for name, pose in read_poses(path, max_rounding_m=_MAX_ROUNDING_M).items():
         stem = Path(name).stem
         if stem in poses:
             raise InputError(f"{path} has two poses of {stem}: remove one of the lines")
-        lifted = Pose(pose.rotation, pose.translation - pose.rotation @ lift)
+        above_ellipsoid = Pose(pose.rotation, pose.translation - pose.rotation @ undulation)
         try:
-            poses[stem] = world_pose(projection, scene.manifest.origin, lifted)
+            poses[stem] = world_pose(projection, scene.manifest.origin, above_ellipsoid)
         except InputError as error:
             raise InputError(f"{path}: {name}: {error}") from None
     return poses
@@ -156,5 +156,5 @@ def _find_photographs(folder: Path) -> dict[str, Path]:
 
 
 def _prior_of(pose: Pose) -> Prior:
-    """Return a measured pose as a prior; the data set does not state how exact it is."""
+    """Return a measured pose as a prior; the data set does not state its accuracy."""
     return Prior(pose.centre().numpy(), cam_from_world_rotation=pose.rotation.numpy())

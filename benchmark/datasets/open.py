@@ -69,7 +69,7 @@ def open_datasets(path: Path) -> list[Dataset]:
         InputError: the path does not exist, no reader supports it, or anything inside it is wrong.
     """
     reader = require_reader(path)
-    with READERS.blame(reader.name, f"cannot read {path}"):
+    with READERS.convert_errors(reader.name, f"cannot read {path}"):
         return reader.open(path)
 
 
@@ -92,7 +92,7 @@ def reader_of(path: Path) -> Reader | None:
     """Return the first reader that supports a path; None if there is none."""
     for name in READERS:
         reader = READERS.load(name)
-        with READERS.blame(name, f"cannot read {path}"):
+        with READERS.convert_errors(name, f"cannot read {path}"):
             if reader.recognizes(path):
                 return reader
     return None

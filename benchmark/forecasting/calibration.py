@@ -58,7 +58,7 @@ class Calibration(Record):
     up_scale: float = 1.0
     false_share: float = 0.02
     queries: int = 0
-    source: str = "none: the smoothed share of views that were found"
+    source: str = "none: the smoothed share of views with a fix"
 
 
 UNCALIBRATED: Final = Calibration(weights=(0.0, 1.0, 0.0, 0.0))
@@ -102,8 +102,8 @@ class ViewResult(NamedTuple):
 def pool(results: Sequence[ViewResult], centres: Array) -> Evidence:
     """Pool the views of one season over neighbouring waypoints.
 
-    The weight of a view is a Gaussian of the distance between its waypoint and the pooled one, with
-    a standard deviation of 20 m.
+    The weight of a view is a Gaussian of the distance between its own waypoint and the waypoint of
+    the result, with a standard deviation of 20 m.
 
     Args:
         results: the views.
@@ -114,11 +114,11 @@ def pool(results: Sequence[ViewResult], centres: Array) -> Evidence:
     weight = np.exp(-0.5 * np.square(distance / POOL_M))  # (N, views)
     fix = np.array([view.fix for view in results], float)
 
-    def mean(values: Array, counts: Array) -> Array:
-        """Return, at each waypoint, the weighted mean over the views with a count of 1."""
-        total = weight @ counts
+    def mean(values: Array, used: Array) -> Array:
+        """Return, at each waypoint, the weighted mean over the views where ``used`` is 1."""
+        total = weight @ used
         return np.divide(
-            weight @ np.where(counts > 0, counts * values, 0.0),
+            weight @ np.where(used > 0, used * values, 0.0),
             total,
             out=np.full(len(centres), np.nan),
             where=total > 1e-9,

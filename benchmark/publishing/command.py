@@ -51,7 +51,7 @@ def publish(
         out: folder, new or empty; its name is the name of the data set.
         layers: dense layers to publish with the photographs, keys of ``LAYERS``.
         release: the publisher's statements on the data set.
-        dry_run: whether to write nothing and to report the bytes.
+        dry_run: whether to write nothing and to report the size.
         sealed: whether to leave out the poses of the queries and all data that reveal them. Only
             scenes that were rendered from a secret key can be sealed.
 

@@ -1,4 +1,4 @@
-"""Unpacking of the photographs of shards into files, which methods read.
+"""Unpack the photographs of shards into files, because methods read files.
 
 The files are written once, to ``$XDG_CACHE_HOME/objconnect/photographs`` or
 ``~/.cache/objconnect/photographs``, in a folder named by the digests of the photographs.
@@ -27,7 +27,7 @@ def unpack_photographs(shards: Sequence[Path], expected: Mapping[str, str]) -> P
     A folder of an earlier call is used if all photographs in it are intact.
 
     Args:
-        shards: files of the rows.
+        shards: files that hold the rows of the photographs.
         expected: SHA-256 of each photograph by name.
 
     Raises:
@@ -36,7 +36,7 @@ def unpack_photographs(shards: Sequence[Path], expected: Mapping[str, str]) -> P
     """
     for name in expected:
         if not is_safe_path(name):
-            raise InputError(f"{shards[0]}: photograph {name!r} does not lie in the scene")
+            raise InputError(f"{shards[0]}: photograph {name!r} leads out of the scene's folder")
     cache = user_cache()
     if cache is None:
         raise InputError("no home folder is known: set XDG_CACHE_HOME to a folder for photographs")

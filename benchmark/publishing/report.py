@@ -63,7 +63,7 @@ class PublishReport:
     unstated: tuple[str, ...]
 
     def text(self) -> str:
-        """Return a few lines for a person."""
+        """Return the report as a few lines of text."""
         counts = (
             f"{self.photographs['map']} map photographs and {self.photographs['query']} queries"
         )

@@ -29,7 +29,7 @@ _ESCAPED: Final = str.maketrans(
 
 
 def latex(tables: Sequence[Table], lines: Sequence[Line], note: str) -> str:
-    """Return the leaderboard, and the object-connect paper's table with ours, as LaTeX tables."""
+    """Return the leaderboard, and the object-connect paper's table with our results, in LaTeX."""
     parts = [
         r"% \usepackage{booktabs} and \usepackage{textcomp} in the preamble.",
         "% Recall in % of all listed queries, with its 95 % interval as a subscript; " + BY_COURSE,
@@ -106,11 +106,11 @@ def _tabular(
     yield f"\\begin{{tabular}}{{ll{'r' * (len(header) - 2)}}}"
     yield r"\toprule"
     yield " & ".join(escape(cell) for cell in header) + r" \\"
-    before = None
+    previous = None
     for row, part in zip(rows, parts, strict=True):
-        if part != before:
+        if part != previous:
             yield r"\midrule"
-        before = part
+        previous = part
         yield " & ".join(row) + r" \\"
     yield r"\bottomrule"
     yield r"\end{tabular}"

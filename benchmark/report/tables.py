@@ -21,7 +21,7 @@ from objconnect.scene.storage.digests import sha256_of
 
 log = logging.getLogger(__name__)
 
-# The classical reference method, and the least recall in percent that saturates a threshold.
+# The classical reference method, and the recall in percent from which a threshold is saturated.
 _REFERENCE: Final = "sift"
 _SATURATED: Final = 99.0
 

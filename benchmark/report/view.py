@@ -108,17 +108,17 @@ def view(path: Path, results: Sequence[Path] = (), out: Path | None = None) -> S
             run = load(file)
             # A folder may also contain results of other data sets.
             if source.is_file() or run.dataset.name == scene.name:
-                methods.append(_method(run, poses, file))
+                methods.append(_make_estimates(run, poses, file))
             else:
                 other_datasets.append(run.dataset.name)
     if other_datasets:
-        named = ", ".join(for_terminal(name) for name in dict.fromkeys(other_datasets))
+        dataset_names = ", ".join(for_terminal(name) for name in dict.fromkeys(other_datasets))
         if not methods:
             raise InputError(
-                f"the results are of {named}, not of the scene {scene.name}: give results on this "
-                "scene"
+                f"the results are of {dataset_names}, not of the scene {scene.name}: give results "
+                "on this scene"
             )
-        log.warning("%d results of %s are not shown", len(other_datasets), named)
+        log.warning("%d results of %s are not shown", len(other_datasets), dataset_names)
     query_paths = [
         np.array([poses[name].centre().numpy() for name in names])
         for names in scene.splits.queries.values()
@@ -154,7 +154,7 @@ def _read_poses(scene: Scene, session: str) -> tuple[tuple[str, ...], list[Pose]
     return frames.names, [Pose.from_matrix(matrix) for matrix in frames.cam_from_world]
 
 
-def _method(results: Results, poses: dict[str, Pose], path: Path) -> MethodEstimates:
+def _make_estimates(results: Results, poses: dict[str, Pose], path: Path) -> MethodEstimates:
     """Return the estimates of a results file; ``poses`` are the true ones by photograph."""
     queries = []
     for query in results.queries:

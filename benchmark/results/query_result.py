@@ -12,12 +12,12 @@ from objconnect.scene.localizer import PoseSource, Status
 from objconnect.scene.storage.answers import NamedRecord, PoseNumbers
 
 MAX_STORED: Final = 10**12
-"""Larger numbers in a file are damage; sums of them could overflow."""
+"""Files with larger numbers are refused as damaged; sums of such numbers could overflow."""
 
 LARGEST_NEES: Final = 1e100
 """Larger values are stored as this one."""
-# 180 degrees, with room for the rounding errors of a quaternion.
-_MOST_DEG: Final = 180.001
+# 180 degrees, with a margin for the rounding errors of a quaternion.
+_MAX_DEG: Final = 180.001
 _Length = Annotated[float, Field(ge=-10 * FARTHEST_M, le=10 * FARTHEST_M)]
 _Count = Annotated[int, Field(ge=0, le=MAX_STORED)]
 _Time = Annotated[float, Field(ge=0, le=MAX_STORED)]
@@ -59,7 +59,7 @@ class QueryResult(NamedRecord):
     status: Status
     reason: str
     t_err_m: _Length | None = Field(ge=0)
-    r_err_deg: float | None = Field(ge=0, le=_MOST_DEG)
+    r_err_deg: float | None = Field(ge=0, le=_MAX_DEG)
     cam_from_world: PoseNumbers | None
     sigma_t_m: _Length | None
     nees: float | None = Field(ge=0, le=LARGEST_NEES)

@@ -117,7 +117,7 @@ class Results(Record):
 def rescore(results: Results) -> Results:
     """Return the results with every figure recomputed from the list of queries.
 
-    Queries that lack the error of their prior get it where the name of the start states it.
+    If the name of the start states the error of the priors, queries without this error get it.
     """
     queries = add_prior_errors(results.queries, results.start)
     summary = results.summary

@@ -55,9 +55,9 @@ def share_of_counts(right: NDArray[np.float64], size: NDArray[np.int64]) -> Inte
     It is Wilson's interval with the effective number of queries n / d * (z / t)^2. The design
     effect d is the variance between clusters over that of independent queries (Rao and Scott,
     Biometrics 48, 1992), and at least 1. The quantile t of Student's distribution with k - 1
-    degrees of freedom stands for the few clusters (Korn and Graubard, Survey Methodology 24, 1998).
-    Where all queries are right or all are wrong, d is unknown and taken as 1, as Korn and Graubard
-    do.
+    degrees of freedom accounts for the small number of clusters (Korn and Graubard, Survey
+    Methodology 24, 1998). Where all queries are right or all are wrong, d is unknown and taken as
+    1, as Korn and Graubard do.
 
     Args:
         right: (k,) number of right queries of each cluster.
@@ -108,9 +108,9 @@ def number_clusters(names: Sequence[str]) -> NDArray[np.int64]:
     return np.array([numbers.setdefault(name, len(numbers)) for name in names], np.int64)
 
 
-def student_95(freedom: int) -> float:
+def student_95(degrees_of_freedom: int) -> float:
     """Return the quantile of Student's t for a two-sided 95 % interval, by degrees of freedom."""
-    return float(stdtrit(freedom, 0.975))
+    return float(stdtrit(degrees_of_freedom, 0.975))
 
 
 def wilson(successes: float, trials: float) -> tuple[float, float]:

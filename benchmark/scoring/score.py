@@ -92,7 +92,7 @@ def is_correct(outcome: Outcome, threshold: Threshold) -> bool:
 def is_false_fix(outcome: Outcome) -> bool:
     """Return whether a pose of status ``ok`` is wrong by more than 5 m or 10 degrees.
 
-    Such a pose misleads whoever flies by it; a fallback or a failed query does not.
+    Such a pose misleads a vehicle that navigates by it; a fallback or a failed query does not.
     """
     if outcome.status is not Status.OK or outcome.t_err_m is None or outcome.r_err_deg is None:
         return False

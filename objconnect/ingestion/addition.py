@@ -210,7 +210,7 @@ def _build(out: Path, source: _Source) -> IngestReport:
     frames = out / "sessions" / source.session / FRAMES
     wrong_attitudes = write_measurements(frames, adjusted, images, fixes, queries)
     sparse_map = write_map(out, model, queries, out / WORK / DATABASE, known)
-    splits = _write_lists(out, source, model, [image.name for image in images])
+    splits = _write_splits_and_covisibility(out, source, model, [image.name for image in images])
     rotated_files = [image.file for image in images if image.name in rotated]
     report = make_report(
         source.photographs,
@@ -335,8 +335,10 @@ def _select_images(model: SparseMap, images: Sequence[FlightImage]) -> SparseMap
     return replace(model, images={image.name: model.images[image.name] for image in images})
 
 
-def _write_lists(out: Path, source: _Source, model: SparseMap, names: Sequence[str]) -> Splits:
-    """Write split and covisibility of the scene with the new photographs, and return the split."""
+def _write_splits_and_covisibility(
+    out: Path, source: _Source, model: SparseMap, names: Sequence[str]
+) -> Splits:
+    """Write and return the splits of the scene with the new photographs; write covisibility."""
     base = source.base
     new_queries = tuple(name for name in names if name in source.queries)
     splits = Splits(

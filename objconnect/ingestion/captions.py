@@ -51,8 +51,8 @@ class Caption:
     def parse(subtitle: Subtitle) -> Caption:
         """Split a subtitle.
 
-        A value in an unclosed bracket is truncated and is dropped. Two different values of one name
-        are joined, so that neither is read as a number.
+        A value in an unclosed bracket counts as truncated and is dropped. Two different values
+        of one name are joined, so that neither is read as a number.
         """
         text = html.unescape(_TAG.sub(" ", subtitle.text)).replace("\xa0", " ")
         tuples = _merge((name.lower(), inner) for name, inner in _PARENTHESES.findall(text))

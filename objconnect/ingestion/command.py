@@ -191,8 +191,8 @@ def _gather_source(
     """Gather the inputs of a run; the pixels of the photographs are not read yet."""
     origin, fixes = local_positions(flight.images, None if imported is None else imported.origin)
     names = [image.name for image in flight.images]
-    course = fixes if imported is None or imported.origin is None else imported.centres
-    queries = choose_queries(names, course, record.split, record.every)
+    positions = fixes if imported is None or imported.origin is None else imported.centres
+    queries = choose_queries(names, positions, record.split, record.every)
     if imported is None:
         photographs = make_photographs(flight.images, record.size, camera)
     else:

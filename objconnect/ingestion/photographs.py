@@ -129,8 +129,8 @@ def read_flight(folder: Path, session: str = SESSION) -> Flight:
     for image in ordered:
         if image.name in file_of:
             raise InputError(
-                f"{folder}: {file_of[image.name]!r} and {image.file!r} would have one name in the "
-                "scene: rename one of them"
+                f"{folder}: {file_of[image.name]!r} and {image.file!r} would have the same name in "
+                "the scene: rename one of them"
             )
         file_of[image.name] = image.file
     return Flight(tuple(ordered), left_out)

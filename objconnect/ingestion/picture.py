@@ -29,7 +29,8 @@ def draw(
     Args:
         path: path of the PNG.
         title: title of the picture.
-        adjusted: the model in the world; fixes that it rejected are not drawn.
+        adjusted: the model in world coordinates; GPS fixes that georegistration rejected are not
+            drawn.
         order: names of its photographs in the order they were taken.
         queries: names of the queries.
         fixes: measured positions by name, world metres.

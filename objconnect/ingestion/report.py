@@ -45,8 +45,8 @@ class Residuals(BaseModel):
         horizontal = f"{self.horizontal_median:.2f} m median, {self.horizontal_rms:.2f} m rms"
         if self.vertical_median is None or self.vertical_rms is None:
             return f"horizontal {horizontal}; vertical unknown"
-        up = f"{self.vertical_median:.2f} m median, {self.vertical_rms:.2f} m rms"
-        return f"horizontal {horizontal}; vertical {up}"
+        vertical = f"{self.vertical_median:.2f} m median, {self.vertical_rms:.2f} m rms"
+        return f"horizontal {horizontal}; vertical {vertical}"
 
 
 class Lens(BaseModel):
@@ -83,7 +83,7 @@ class IngestReport(BaseModel):
         map_images: number of map photographs.
         map_points: number of points of the map, triangulated from the map photographs alone.
         control: ground control points, in the order of their list.
-        kept: number of frames of the scene that photographs were added to; 0 without one. The
+        kept: number of frames of the existing scene, if photographs were added to one; else 0. The
             values of points, map and queries then cover the whole scene, the others the new
             photographs.
         georeference: accuracy of the scene's position on earth; None if unknown.
@@ -115,7 +115,7 @@ class IngestReport(BaseModel):
 
     def text(self) -> str:
         """Return the report as text."""
-        up = {
+        vertical_sources = {
             "gps": "vertical from GPS",
             "ground": "vertical from the ground (GPS altitudes unusable, or a straight flight)",
             "given": "poses as imported",
@@ -128,7 +128,7 @@ class IngestReport(BaseModel):
             f"{self.registered} of {self.photographs} {new or 'photographs registered'}, "
             f"{self.points} points in tracks of {self.track_length:.1f}, "
             f"{self.reprojection_error_px:.2f} px mean reprojection error",
-            f"GPS residuals of {self.fixes} photographs: {gps}; {up[self.level]}",
+            f"GPS residuals of {self.fixes} photographs: {gps}; {vertical_sources[self.level]}",
             *gps_remark(self.level, self.gps),
             *(
                 [f"GPS delay {self.lag_s:.1f} s; without it: {self.gps_without_lag.text()}"]
@@ -186,10 +186,10 @@ def residuals(
     return np.array(differences).reshape(-1, 3)
 
 
-def summarise(off: NDArray[np.float64]) -> Residuals:
-    """Return statistics of residuals (N, 3)."""
-    horizontal = np.linalg.norm(off[:, :2], axis=1)
-    vertical = np.abs(off[np.isfinite(off[:, 2]), 2])
+def summarise(differences: NDArray[np.float64]) -> Residuals:
+    """Return statistics of fixes minus camera centres, (N, 3) metres."""
+    horizontal = np.linalg.norm(differences[:, :2], axis=1)
+    vertical = np.abs(differences[np.isfinite(differences[:, 2]), 2])
     return Residuals(
         horizontal_median=float(np.median(horizontal)),
         horizontal_rms=float(np.sqrt((horizontal**2).mean())),
@@ -287,8 +287,8 @@ def make_report(
         level=georegistration.level,
         fixes=len(used),
         blunders={
-            files[name]: float(np.linalg.norm(np.nan_to_num(off)))
-            for name, off in zip(georegistration.blunders, wrong, strict=True)
+            files[name]: float(np.linalg.norm(np.nan_to_num(difference)))
+            for name, difference in zip(georegistration.blunders, wrong, strict=True)
         },
         wrong_attitudes=dict(findings.wrong_attitudes),
         turned=tuple(findings.rotated),

@@ -117,12 +117,12 @@ def make_scene(
     Args:
         out: Folder of the scene.
         record: The inputs and options.
-        build: Writes everything of the scene but its manifest.
+        build: Writes all files of the scene except its manifest.
         owned: Files that ``build`` may write, for ``remove_owned``.
         manifest: The manifest without digests, and without georeference, which ``build`` reports.
 
     Raises:
-        InputError: The folder holds something else, or for the reasons of ``build``.
+        InputError: The folder holds something else, or ``build`` raises it.
     """
     if is_finished(out, record):
         return read_json(out / REPORT, IngestReport, "report of the ingested flight")
@@ -133,7 +133,7 @@ def make_scene(
     except WriteError:
         raise  # a later run continues when the disk has room
     except InputError:
-        # These photographs make no scene, so a later run has nothing to continue.
+        # No scene can be made of these photographs, so a later run has nothing to continue.
         remove_owned(out, owned)
         raise
     finish_scene(out, manifest.model_copy(update={"georeference": report.georeference}))

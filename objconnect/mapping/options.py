@@ -8,7 +8,7 @@ from objconnect.scene.config import Config
 
 
 class MapOptions(Config):
-    """Options of the choice of map photographs to match with each other."""
+    """Options that decide which map photographs are matched with each other."""
 
     min_overlap: float = Field(
         0.2,

@@ -106,11 +106,11 @@ class ObjConnectNetConfig(Config):
     )
     scene_graph: bool = Field(True, description="A graph over all objects.")
     detector: DetectorConfig | None = Field(
-        None, description="Detector of learned objects; None for none."
+        None, description="Detector of learned objects; None for no detector."
     )
     constellation: ConstellationConfig | None = Field(
         None,
-        description="Graph over the learned objects of a photograph or a map; None for none.",
+        description="Graph over the learned objects of a photograph or a map; None for no graph.",
     )
 
     @model_validator(mode="before")

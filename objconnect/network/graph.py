@@ -22,7 +22,7 @@ class PointConvolution(nn.Module):
 
     It combines a point's own feature with the mean of its neighbours' features (Hamilton et al.,
     "Inductive Representation Learning on Large Graphs", NIPS 2017). The graph is complete within an
-    object, and costs one mean.
+    object, so one mean for each object suffices.
     """
 
     def __init__(self, size: int) -> None:
@@ -65,12 +65,12 @@ class ObjectGraph(nn.Module):
 
 
 class SceneGraph(nn.Module):
-    """The graph over the objects. It merges similar near objects softly and keeps differences.
+    """The graph over the objects. It averages similar nearby objects and keeps their differences.
 
     The edges are ``a_ij = softmax_j(alpha cos(f_i, f_j) - beta |c_i - c_j| / s)``, where s is the
     square root of the mean area of the objects. The vector of an object becomes H(m_i (+) (f_i -
-    m_i)), where m_i is the sum of a_ij f_j. m_i is what the object shares with others, and f_i -
-    m_i is the difference. The vector is added to the object's cells.
+    m_i)), where (+) is concatenation and m_i is the sum of a_ij f_j. m_i is what the object shares
+    with others, and f_i - m_i is the difference. The vector is added to the object's cells.
     """
 
     def __init__(self, size: int) -> None:

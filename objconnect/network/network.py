@@ -41,7 +41,7 @@ _OWN_FIELD: Final = "segmentation"
 # Finest stride of levels with objects. On finer levels the object blocks would cost as much as the
 # rest of the network and add nothing: nearly all neighbouring cells share an object.
 _FINEST_OBJECT_STRIDE: Final = 4
-# Least probability of a learned object.
+# Minimum score of a learned object.
 _LEARNED_SCORE: Final = 0.35
 # Pixels per cell of the label maps of learned objects.
 _LEARNED_STRIDE: Final = 2
@@ -50,7 +50,7 @@ Level = unet.Level
 
 
 class ObjectBlocks(nn.Module):
-    """The object blocks of one level that are switched on. Each adds to the features.
+    """The enabled object blocks of one level. Each adds to the features.
 
     Attributes:
         residuals: norm of the last residual of each block in training, divided by the norm of its
@@ -189,7 +189,7 @@ class ObjConnectNet(nn.Module):
                 )
                 maps = self.objects_of[number](maps, occupied)
                 if number == self._object_levels - 1:
-                    objects = self._as_points(maps, occupied, stride)
+                    objects = self._object_set(maps, occupied, stride)
             output.append(self._level(number, maps))
         return output, objects
 
@@ -227,7 +227,7 @@ class ObjConnectNet(nn.Module):
 
     def _decode(self, image: Tensor) -> Iterable[Tensor]:
         """Yield the decoder's maps of images, coarse to fine."""
-        maps: Iterable[Tensor] = self.decoder(self._blocks(image))
+        maps: Iterable[Tensor] = self.decoder(self._encode(image))
         return maps
 
     def _levels(self, image: Tensor, needed: NDArray[np.bool_] | None) -> Iterable[Level]:
@@ -235,10 +235,10 @@ class ObjConnectNet(nn.Module):
         if not isinstance(self.decoder, unet.Decoder):
             return (self._level(*each) for each in enumerate(self._decode(image)))
         heads = [partial(self._level, number) for number in range(len(self.features))]
-        levels = self.decoder.levels(self._blocks(image), heads, needed)
+        levels = self.decoder.levels(self._encode(image), heads, needed)
         return ((features, confidence) for features, confidence in levels)
 
-    def _blocks(self, image: Tensor) -> list[Tensor]:
+    def _encode(self, image: Tensor) -> list[Tensor]:
         return encode(self.encoder, image, self.config.strides[-1])
 
     def _to_labels(self, decoded: Iterable[Tensor]) -> Tensor:
@@ -267,7 +267,7 @@ class ObjConnectNet(nn.Module):
         # uncertainty.
         return self.features[number](maps), torch.sigmoid(-self.confidence[number](maps))
 
-    def _as_points(self, maps: Tensor, occupied: Occupancy, stride: int) -> Objects:
+    def _object_set(self, maps: Tensor, occupied: Occupancy, stride: int) -> Objects:
         """Return the paper's set V: the vectors o_i are the features O at the centres c_i."""
         assert self.trust is not None
         cells = centres(occupied)
@@ -330,6 +330,6 @@ def start_from(path: Path, settings: Mapping[str, Any]) -> ObjConnectNet:
     network = ObjConnectNet(load_config(ObjConnectNetConfig, None, {**config, **settings}))
     initial = network.state_dict()
     loaded = {name: tensor for name, tensor in tensors.items() if name in initial}
-    random = {name: each for name, each in initial.items() if not name.startswith(_ENCODER)}
-    load_into(network, random | loaded, path)
+    random_weights = {name: each for name, each in initial.items() if not name.startswith(_ENCODER)}
+    load_into(network, random_weights | loaded, path)
     return network

@@ -134,7 +134,7 @@ class MapObjects:
 
     def __init__(self, find: ObjectFinder, source: ReferenceSource) -> None:
         self._find, self._source = find, source
-        self._earlier = source.map_cache.earlier(_DETECTIONS)
+        self._read_earlier = source.map_cache.earlier(_DETECTIONS)
         self._map_views = MapViews(source)
         self._found: dict[str, Detections] = {}
 
@@ -143,7 +143,7 @@ class MapObjects:
         if not looks_down(image.cam_from_world[:3, :3]):
             return False
         if image.name not in self._found:
-            found = self._earlier(digest_of(key, _FORMAT), _ARRAYS)
+            found = self._read_earlier(digest_of(key, _FORMAT), _ARRAYS)
             if found is not None:
                 self._found[image.name] = Detections(*map(torch.from_numpy, found.values()))
         return image.name not in self._found

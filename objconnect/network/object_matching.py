@@ -23,7 +23,7 @@ from objconnect.localization.coarse.search import UP, Candidate
 from objconnect.network.constellation import ConstellationGraph
 from objconnect.network.detector import Detections
 from objconnect.network.landmarks import Landmarks, ObjectLayout, lay_out
-from objconnect.network.object_pairs import Bounds, GroundPoses, Likeness, PairSearch
+from objconnect.network.object_pairs import Bounds, GroundPoses, ObjectSimilarity, PairSearch
 from objconnect.network.object_pose import refine_pose
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose, so3_exp
@@ -100,13 +100,13 @@ class ObjectMatcher:
         """
         if self._pairs is None:
             return []
-        likeness = self._pairs.compare(found.vectors)
+        similarity = self._pairs.compare(found.vectors)
         tried = []
         for attitude in attitudes:
             layout = lay_out(found, camera, attitude)
             if len(layout) >= _LEAST_OBJECTS:
-                layout_likeness = likeness.select(layout.rows)
-                best = self._pairs(layout, layout_likeness, bounds, _MAX_RATED)
+                layout_similarity = similarity.select(layout.rows)
+                best = self._pairs(layout, layout_similarity, bounds, _MAX_RATED)
                 tried.append(_Hypotheses(attitude, layout, *best))
         if not tried:
             return []
@@ -116,7 +116,7 @@ class ObjectMatcher:
         kept = self._select_distinct(sorted(found_poses, key=lambda each: -each[0].score))
         if len(attitudes) == 1:
             return kept
-        return [self._refine(each, found, camera, likeness) for each in kept]
+        return [self._refine(each, found, camera, similarity) for each in kept]
 
     def _rate(self, tried: _Hypotheses, least: NDArray[np.float64]) -> _Hypotheses:
         """Return the hypotheses whose score is at least ``least``.
@@ -136,7 +136,10 @@ class ObjectMatcher:
         )
         for first in range(0, len(rows), batch):
             part = poses.select(np.arange(first, min(first + batch, len(rows))))
-            positions, height = part.turn[:, None] * offset, np.abs(part.turn)[:, None]
+            positions, height = (
+                part.scaled_rotation[:, None] * offset,
+                np.abs(part.scaled_rotation)[:, None],
+            )
             described = graph(
                 vectors,
                 graph.to_tensor(np.stack([positions.real, positions.imag], -1)),
@@ -157,17 +160,17 @@ class ObjectMatcher:
     def _to_candidates(self, tried: _Hypotheses) -> list[tuple[Candidate, float]]:
         """Return the hypotheses as candidates, each with its heading."""
         candidates = []
-        for turn, place, score in zip(*tried.poses, tried.scores, strict=True):
-            heading, height = -float(np.angle(turn)), float(abs(turn))
+        for scaled_rotation, position, score in zip(*tried.poses, tried.scores, strict=True):
+            heading, height = -float(np.angle(scaled_rotation)), float(abs(scaled_rotation))
             rotation = tried.attitude @ so3_exp(heading * UP)
-            up = self._ground.height_at(place.real, place.imag) + height
-            centre = torch.tensor([place.real, place.imag, up], dtype=torch.float64)
+            up = self._ground.height_at(position.real, position.imag) + height
+            centre = torch.tensor([position.real, position.imag, up], dtype=torch.float64)
             pose = Pose(rotation, -rotation @ centre)
             candidates.append((Candidate(pose, float(score)), heading))
         return candidates
 
     def _refine(
-        self, candidate: Candidate, found: Detections, camera: Camera, likeness: Likeness
+        self, candidate: Candidate, found: Detections, camera: Camera, similarity: ObjectSimilarity
     ) -> Candidate:
         """Return a candidate with its pose, including the tilt, refined by its matches."""
         assert self._pairs is not None
@@ -183,7 +186,7 @@ class ObjectMatcher:
             rows, weights = (
                 each[0] for each in self._pairs.matches(offset, ground, _DISTANCE_SIGMA_M)
             )
-            weights = weights * (weights > _LEAST_WEIGHT) * likeness.ratio[layout.rows, rows]
+            weights = weights * (weights > _LEAST_WEIGHT) * similarity.ratio[layout.rows, rows]
             pose = refine_pose(pose, rays[layout.rows], self._xyz[rows], weights)
         return replace(candidate, pose=pose)
 

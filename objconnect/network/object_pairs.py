@@ -27,19 +27,19 @@ _Real = NDArray[np.float64]
 # Sharpness of the softmax over cosines of vectors.
 _SHARPNESS: Final = 10.0
 # Maximum number of landmarks of a tile of the map: an object is matched in each tile.
-_TILE: Final = 800
+_MAX_TILE_LANDMARKS: Final = 800
 # Maximum number of partners of an object, and of matched pairs of all objects, which bounds time.
-_PARTNERS: Final = 6
-_MOST_PAIRS: Final = 1_000_000
+_MAX_PARTNERS: Final = 6
+_MAX_PAIRS: Final = 1_000_000
 # Least distance of two partners, in units of the camera's height. Nearer ones give no exact
 # heading.
-_LEAST_BASE: Final = 0.12
+_MIN_BASELINE: Final = 0.12
 # Largest difference of the logarithms of two heights of the camera: the one from a pair of
 # matches and the one from the sizes of their objects.
 _SIZE_TOLERANCE: Final = 0.35
 # Largest ratio of a height, and largest difference of a heading (rad), to the nearest one allowed.
-_STRETCH: Final = 1.2
-_TURN: Final = math.radians(15)
+_MAX_HEIGHT_RATIO: Final = 1.2
+_MAX_HEADING_DIFFERENCE: Final = math.radians(15)
 # Standard deviation of a landmark's distance from its object, metres: of hypotheses, and of poses
 # in the refinement.
 _DISTANCE_SIGMA_M: Final = 1.5
@@ -63,26 +63,28 @@ _MARGIN_M: Final = 4.0
 
 
 class GroundPoses(NamedTuple):
-    """H poses above level ground, as similarities ``place + turn * offset`` of the complex plane.
+    """H poses above level ground, as similarity transforms of the complex plane.
+
+    An object at ``offset`` from the camera lies at ``position + scaled_rotation * offset``.
 
     The real axis points to the east, the imaginary one to the north.
 
     Attributes:
-        turn: (H,) height above the ground, metres, times ``exp(-i * heading)``. The heading is
-            clockwise from the heading for which the objects were laid out.
-        place: (H,) position of the camera, metres.
+        scaled_rotation: (H,) height above the ground, metres, times ``exp(-i * heading)``. The
+            heading is clockwise from the heading for which the objects were laid out.
+        position: (H,) position of the camera, metres.
     """
 
-    turn: _Complex
-    place: _Complex
+    scaled_rotation: _Complex
+    position: _Complex
 
     def select(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> GroundPoses:
         """Return the poses with these rows."""
-        return GroundPoses(self.turn[rows], self.place[rows])
+        return GroundPoses(self.scaled_rotation[rows], self.position[rows])
 
     def transform(self, offset: _Complex) -> _Complex:
         """Return the positions (H, N) of objects at offsets (N,) from the camera."""
-        positions: _Complex = self.place[:, None] + self.turn[:, None] * offset
+        positions: _Complex = self.position[:, None] + self.scaled_rotation[:, None] * offset
         return positions
 
 
@@ -102,33 +104,33 @@ class Bounds:
 
     def allow(self, poses: GroundPoses) -> NDArray[np.bool_]:
         """Return whether each pose is allowed (H,)."""
-        height = np.abs(poses.turn)
-        allowed = height > min(self.heights) / _STRETCH
-        allowed &= height < max(self.heights) * _STRETCH
-        if 2 * _TURN * len(self.headings) < math.tau:
-            off = poses.turn[:, None] * np.exp(1j * np.array(self.headings))
-            allowed &= (np.abs(np.angle(off)) < _TURN).any(1)
+        height = np.abs(poses.scaled_rotation)
+        allowed = height > min(self.heights) / _MAX_HEIGHT_RATIO
+        allowed &= height < max(self.heights) * _MAX_HEIGHT_RATIO
+        if 2 * _MAX_HEADING_DIFFERENCE * len(self.headings) < math.tau:
+            difference = poses.scaled_rotation[:, None] * np.exp(1j * np.array(self.headings))
+            allowed &= (np.abs(np.angle(difference)) < _MAX_HEADING_DIFFERENCE).any(1)
         if self.region is not None:
             east, north, radius = self.region
-            allowed &= np.abs(poses.place - complex(east, north)) <= radius
+            allowed &= np.abs(poses.position - complex(east, north)) <= radius
         return allowed
 
 
-class Likeness(NamedTuple):
+class ObjectSimilarity(NamedTuple):
     """The similarity of N objects and M landmarks.
 
     Attributes:
-        ratio: (N, M) log-likelihood ratio of an object being this landmark rather than any one;
-            negative values are 0.
+        ratio: (N, M) log-likelihood ratio of an object being this landmark rather than a random
+            one; negative values are 0.
         rows: (T, N, K) rows of the most similar landmarks of each tile of the map.
     """
 
     ratio: NDArray[np.float32]
     rows: NDArray[np.int64]
 
-    def select(self, rows: NDArray[np.int64]) -> Likeness:
-        """Return the likeness of the objects with these rows."""
-        return Likeness(self.ratio[rows], self.rows[:, rows])
+    def select(self, rows: NDArray[np.int64]) -> ObjectSimilarity:
+        """Return the similarity of the objects with these rows."""
+        return ObjectSimilarity(self.ratio[rows], self.rows[:, rows])
 
 
 class PairSearch:
@@ -147,16 +149,16 @@ class PairSearch:
         self._similar = min(similar, *map(len, self._tiles))
         self._nearest = _NearestLandmarks(self._positions)
 
-    def compare(self, vectors: Tensor) -> Likeness:
+    def compare(self, vectors: Tensor) -> ObjectSimilarity:
         """Return the similarity of objects with unit vectors (N, V) and the landmarks."""
         cosine = vectors.float() @ self._vectors.T
         rows = [tile[cosine[:, tile].topk(self._similar).indices.numpy()] for tile in self._tiles]
         ratio = _SHARPNESS * cosine
         chance = ratio.logsumexp(1, keepdim=True) - math.log(ratio.shape[1])
-        return Likeness((ratio - chance).clamp_min(0).numpy(), np.stack(rows))
+        return ObjectSimilarity((ratio - chance).clamp_min(0).numpy(), np.stack(rows))
 
     def __call__(
-        self, layout: ObjectLayout, likeness: Likeness, bounds: Bounds, count: int
+        self, layout: ObjectLayout, similarity: ObjectSimilarity, bounds: Bounds, count: int
     ) -> tuple[GroundPoses, _Real]:
         """Return the best distinct poses, at most ``count``, and their scores.
 
@@ -164,13 +166,13 @@ class PairSearch:
         of the number of objects.
         """
         offset: _Complex = layout.offset[:, 0] + 1j * layout.offset[:, 1]
-        poses = self._hypotheses(layout, offset, likeness)
+        poses = self._hypotheses(layout, offset, similarity)
         poses = poses.select(bounds.allow(poses))
-        kept = poses.select(_select_distinct(poses, self._scores(offset, likeness, poses), count))
+        kept = poses.select(_select_distinct(poses, self._scores(offset, similarity, poses), count))
         for _ in range(_ROUNDS):
-            kept = self._refine(offset, likeness, kept)
+            kept = self._refine(offset, similarity, kept)
         kept = kept.select(bounds.allow(kept))
-        return kept, self._scores(offset, likeness, kept)
+        return kept, self._scores(offset, similarity, kept)
 
     def matches(
         self, offset: _Complex, poses: GroundPoses, sigma_m: float = _DISTANCE_SIGMA_M
@@ -185,50 +187,59 @@ class PairSearch:
         return rows, np.exp(-np.square(distance / sigma_m) / 2) * is_inside
 
     def _hypotheses(
-        self, layout: ObjectLayout, offset: _Complex, likeness: Likeness
+        self, layout: ObjectLayout, offset: _Complex, similarity: ObjectSimilarity
     ) -> GroundPoses:
         """Return the poses that pairs of matches give, if the sizes of the objects agree."""
-        one, other = _pairs(offset, likeness.rows.shape[2])
-        base = (offset[other] - offset[one])[:, None, None]
+        one, other = _pairs(offset, similarity.rows.shape[2])
+        baseline = (offset[other] - offset[one])[:, None, None]
         sides = np.log(np.maximum(layout.side, 1e-9))[:, None]
-        turns, places = [], []
-        for rows in likeness.rows:
+        scaled_rotations, camera_positions = [], []
+        for rows in similarity.rows:
             first, second = self._positions[rows[one]], self._positions[rows[other]]
-            turn = (second[:, None, :] - first[:, :, None]) / base
+            scaled_rotation = (second[:, None, :] - first[:, :, None]) / baseline
             # Half the logarithm of the height at which an object has the size of a landmark, for
             # each match. The sum over a pair is the logarithm of the height by both sizes.
             by_size = (self._log_sides[rows] - sides) / 2
             expected = by_size[one][:, :, None] + by_size[other][:, None, :]
-            height = np.log(np.maximum(np.abs(turn), 1e-9))
+            height = np.log(np.maximum(np.abs(scaled_rotation), 1e-9))
             pair, row, _ = agree = np.nonzero(np.abs(height - expected) < _SIZE_TOLERANCE)
-            turns.append(turn[agree])
-            places.append(first[pair, row] - turn[agree] * offset[one[pair]])
-        return GroundPoses(np.concatenate(turns), np.concatenate(places))
+            scaled_rotations.append(scaled_rotation[agree])
+            camera_positions.append(first[pair, row] - scaled_rotation[agree] * offset[one[pair]])
+        return GroundPoses(np.concatenate(scaled_rotations), np.concatenate(camera_positions))
 
-    def _scores(self, offset: _Complex, likeness: Likeness, poses: GroundPoses) -> _Real:
-        scores = np.empty(len(poses.turn))
+    def _scores(self, offset: _Complex, similarity: ObjectSimilarity, poses: GroundPoses) -> _Real:
+        scores = np.empty(len(poses.scaled_rotation))
         objects = np.arange(len(offset))
         for begin in range(0, len(scores), _BATCH):
             part = slice(begin, begin + _BATCH)
-            rows, weights = self.matches(offset, GroundPoses(poses.turn[part], poses.place[part]))
-            scores[part] = (likeness.ratio[objects, rows] * weights).sum(1)
+            rows, weights = self.matches(
+                offset, GroundPoses(poses.scaled_rotation[part], poses.position[part])
+            )
+            scores[part] = (similarity.ratio[objects, rows] * weights).sum(1)
         return scores / math.sqrt(max(1, len(offset)))
 
-    def _refine(self, offset: _Complex, likeness: Likeness, poses: GroundPoses) -> GroundPoses:
+    def _refine(
+        self, offset: _Complex, similarity: ObjectSimilarity, poses: GroundPoses
+    ) -> GroundPoses:
         """Return the least-squares similarity transforms from objects to landmarks near them."""
         rows, weights = self.matches(offset, poses, _REFINED_SIGMA_M)
-        weight = likeness.ratio[np.arange(len(offset)), rows] * weights
+        weight = similarity.ratio[np.arange(len(offset)), rows] * weights
         weight /= np.maximum(weight.sum(1, keepdims=True), 1e-12)
         landmarks = self._positions[rows]
         middle, landmark_middle = (weight * offset).sum(1), (weight * landmarks).sum(1)
         centred = offset - middle[:, None]
         variance = (weight * np.square(np.abs(centred))).sum(1)
-        turn = (weight * (landmarks - landmark_middle[:, None]) * centred.conj()).sum(1)
-        turn /= np.maximum(variance, 1e-9)
-        change = np.log(np.where(turn == 0, 1e-9, turn) / poses.turn)
+        scaled_rotation = (weight * (landmarks - landmark_middle[:, None]) * centred.conj()).sum(1)
+        scaled_rotation /= np.maximum(variance, 1e-9)
+        change = np.log(
+            np.where(scaled_rotation == 0, 1e-9, scaled_rotation) / poses.scaled_rotation
+        )
         small = (np.abs(change.real) < _MOST_CHANGE) & (np.abs(change.imag) < _MOST_CHANGE)
-        place = landmark_middle - turn * middle
-        return GroundPoses(np.where(small, turn, poses.turn), np.where(small, place, poses.place))
+        position = landmark_middle - scaled_rotation * middle
+        return GroundPoses(
+            np.where(small, scaled_rotation, poses.scaled_rotation),
+            np.where(small, position, poses.position),
+        )
 
 
 class _NearestLandmarks:
@@ -263,7 +274,7 @@ class _NearestLandmarks:
 
 def _tiles(xy: _Real, rows: NDArray[np.int64]) -> list[NDArray[np.int64]]:
     """Return rows of positions (M, 2) in tiles of nearly equal numbers, split at medians."""
-    if len(rows) <= _TILE:
+    if len(rows) <= _MAX_TILE_LANDMARKS:
         return [rows]
     axis = int(np.ptp(xy[rows], axis=0).argmax())
     order = rows[np.argsort(xy[rows, axis], kind="stable")]
@@ -272,15 +283,15 @@ def _tiles(xy: _Real, rows: NDArray[np.int64]) -> list[NDArray[np.int64]]:
 
 
 def _pairs(offset: _Complex, similar: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the rows of pairs: each object with the nearest ones at least ``_LEAST_BASE`` away."""
+    """Return the rows of pairs: each object with its nearest partners beyond ``_MIN_BASELINE``."""
     count = len(offset)
-    most = _MOST_PAIRS // (count * similar**2)
-    partners = min(count - 1, max(1, min(_PARTNERS, most)))
-    away = np.abs(offset[:, None] - offset)
-    away[away < _LEAST_BASE] = np.inf
-    nearest = np.argsort(away, axis=1, kind="stable")[:, :partners]
+    most = _MAX_PAIRS // (count * similar**2)
+    partners = min(count - 1, max(1, min(_MAX_PARTNERS, most)))
+    distance = np.abs(offset[:, None] - offset)
+    distance[distance < _MIN_BASELINE] = np.inf
+    nearest = np.argsort(distance, axis=1, kind="stable")[:, :partners]
     one, other = np.repeat(np.arange(count), partners), nearest.ravel()
-    exists = np.isfinite(away[one, other])
+    exists = np.isfinite(distance[one, other])
     pairs = np.sort(np.column_stack([one, other])[exists], axis=1)
     one, other = np.unique(pairs, axis=0).T
     return one, other
@@ -288,12 +299,15 @@ def _pairs(offset: _Complex, similar: int) -> tuple[NDArray[np.int64], NDArray[n
 
 def _select_distinct(poses: GroundPoses, scores: _Real, count: int) -> NDArray[np.int64]:
     """Return the rows of the best poses that differ, best first."""
-    left = np.argsort(-scores, kind="stable")[:_BEST]
+    remaining = np.argsort(-scores, kind="stable")[:_BEST]
     kept: list[int] = []
-    while len(left) and len(kept) < count:
-        best = int(left[0])
+    while len(remaining) and len(kept) < count:
+        best = int(remaining[0])
         kept.append(best)
-        far = np.abs(poses.place[left] - poses.place[best]) > _DISTINCT_M
-        turned = np.abs(np.angle(poses.turn[left] / poses.turn[best])) > _DISTINCT_RAD
-        left = left[far | turned]
+        is_far = np.abs(poses.position[remaining] - poses.position[best]) > _DISTINCT_M
+        is_rotated = (
+            np.abs(np.angle(poses.scaled_rotation[remaining] / poses.scaled_rotation[best]))
+            > _DISTINCT_RAD
+        )
+        remaining = remaining[is_far | is_rotated]
     return np.array(kept, np.int64)

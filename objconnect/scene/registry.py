@@ -53,7 +53,7 @@ def _list_entry_points(group: str, folders: tuple[str, ...]) -> Mapping[str, Ent
 
     Args:
         group: group of the entry points.
-        folders: ``sys.path``; other folders are searched anew.
+        folders: ``sys.path``, part of the cache's key: a changed path is searched again.
     """
     return {each.name: each for each in reversed(tuple(entry_points(group=group)))}
 
@@ -69,14 +69,15 @@ class Registry(Mapping[str, T], Generic[T]):
         group: group of the entry points of installed packages.
         built_in: entries of the project, in listing order.
         accepts: returns whether the object of an entry point is a valid entry.
-        unknown: error message with the fields ``kind``, ``name`` and ``names``.
+        unknown_message: error message for an unknown name, with the fields ``kind``, ``name``
+            and ``names``.
     """
 
     kind: str
     group: str
     built_in: Mapping[str, Lazy | T]
     accepts: Callable[[Any], bool] = callable
-    unknown: str = "unknown {kind} {name!r}: choose one of {names}"
+    unknown_message: str = "unknown {kind} {name!r}: choose one of {names}"
 
     def __iter__(self) -> Iterator[str]:
         added = _list_entry_points(self.group, tuple(sys.path)).keys() - self.built_in.keys()
@@ -118,8 +119,8 @@ class Registry(Mapping[str, T], Generic[T]):
         entry_point = self.entry_point(name)
         if entry_point is None:
             names = ", ".join(self)
-            raise InputError(self.unknown.format(kind=self.kind, name=name, names=names))
-        with self.blame(name, failure):
+            raise InputError(self.unknown_message.format(kind=self.kind, name=name, names=names))
+        with self.convert_errors(name, failure):
             loaded = entry_point.load()
         if not self.accepts(loaded):
             raise InputError(
@@ -134,7 +135,7 @@ class Registry(Mapping[str, T], Generic[T]):
         return {name: entry.summary for name, entry in lazy.items() if entry.summary}
 
     @contextmanager
-    def blame(self, name: str, failure: str) -> Iterator[None]:
+    def convert_errors(self, name: str, failure: str) -> Iterator[None]:
         """Turn any exception of an installed package's entry into an InputError that names it.
 
         Exceptions of built-in entries pass through.

@@ -53,7 +53,7 @@ class FlightContext:
         side_m: Side of the square place around the origin, metres.
         ground_height: Height of the ground in metres at world x, y in metres.
         camera: The camera of the photographs; its footprint is approximated by a pinhole.
-        defaults: Options that a flight leaves out, by the role of its session.
+        defaults: Values of options that the flight does not set; they depend on its session's role.
         wind: Deviations from planned poses.
         roads: The roads that corridors and streets may follow.
         is_free: Returns which positions (N, 3) in world metres are free for a camera.

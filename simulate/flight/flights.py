@@ -179,8 +179,8 @@ def _lay_lines(
         lines = _count_to_cover(2 * reach / across_m)
     else:
         # The distances of lines and of exposures have the ratio across_m : along_m.
-        cell = np.sqrt((2 * half) ** 2 / frames * across_m / along_m)
-        lines = max(1, min(frames, round(2 * reach / cell)))
+        spacing_m = np.sqrt((2 * half) ** 2 / frames * across_m / along_m)
+        lines = max(1, min(frames, round(2 * reach / spacing_m)))
     offset = reach * (2 * (np.arange(lines) + 0.5) / lines - 1)
     if frames is None and lines > 1:
         offset = np.linspace(-reach, reach, lines)

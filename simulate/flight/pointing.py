@@ -95,12 +95,12 @@ class Gimbal:
     def cancel(self) -> bool:
         """Return to the default angles if the camera looks at a region or towards a waypoint.
 
-        Return whether angles that were set before are lost by this.
+        Return whether this discards angles that were set before the region or waypoint.
         """
-        had_others = self._angles_before != self._default
+        had_set_angles = self._angles_before != self._default
         if isinstance(self.aim, Region | TowardsNext):
             self.aim, self._angles_before = self._default, self._default
-            return had_others
+            return had_set_angles
         return False
 
     def turn(self, command: Command) -> None:

@@ -73,8 +73,8 @@ def panes(style: Facade) -> Image:
 
     Its pixels are aligned with the image of ``facade``. Curtains and blinds dim the light.
     """
-    pane = _draw_facade(style).pane
-    return _encode(np.dstack([pane] * 3), np.zeros_like(pane))
+    light_share = _draw_facade(style).light_share
+    return _encode(np.dstack([light_share] * 3), np.zeros_like(light_share))
 
 
 def _draw_facade(style: Facade) -> _Canvas:
@@ -102,22 +102,22 @@ def _dwellings(canvas: _Canvas, style: Facade, rng: np.random.Generator) -> None
             canvas.rect(0, z - 0.12, BAYS * BAY_M, z + 0.06, (0.7, 0.7, 0.7), tinted=0.6)
         for bay in range(BAYS):
             x = bay * BAY_M
-            draw = rng.random()
+            random_value = rng.random()
             if floor == 0 and bay % (4 if slab else 6) == 1:
                 _door(canvas, x, rng)
             elif floor == 0 and not slab and bay % 6 == 4:
                 _window(canvas, (x + 0.4, z + 0.15), (2.2, 2.1), frame, rng)  # onto the terrace
-            elif slab and (bay % 3 == 1 or draw < 0.1):
+            elif slab and (bay % 3 == 1 or random_value < 0.1):
                 _balcony(canvas, x, z, frame, rng)
-            elif draw < 0.13:
+            elif random_value < 0.13:
                 continue  # blank wall
-            elif draw < 0.28:
+            elif random_value < 0.28:
                 _window(canvas, (x + 1.1, z + 1.2), (0.8, 1.0), frame, rng)
             else:
-                width = 1.8 if draw > 0.72 else 1.3
+                width = 1.8 if random_value > 0.72 else 1.3
                 left = x + 0.5 * (BAY_M - width) + rng.normal(0, 0.08)
                 _window(canvas, (left, z + 0.95), (width, 1.35), frame, rng)
-                if shutters is not None and draw < 0.6:
+                if shutters is not None and random_value < 0.6:
                     for side in (left - 0.42, left + width + 0.04):
                         canvas.rect(side, z + 0.92, side + 0.38, z + 2.33, shutters)
 
@@ -177,7 +177,7 @@ class _Canvas:
         rows, columns = round(height_m / _TEXEL_M), round(width_m / _TEXEL_M)
         self.rgb = np.full((rows, columns, 3), 0.88, np.float32)
         self.tinted = np.ones((rows, columns), np.float32)
-        self.pane = np.zeros((rows, columns), np.float32)
+        self.light_share = np.zeros((rows, columns), np.float32)
 
     def rect(
         self,
@@ -195,13 +195,15 @@ class _Canvas:
         c0, r0, c1, r1 = (max(0, round(v / _TEXEL_M)) for v in (x0, z0, x1, z1))
         self.rgb[r0:r1, c0:c1] = rgb
         self.tinted[r0:r1, c0:c1] = tinted
-        self.pane[r0:r1, c0:c1] = 0.0
+        self.light_share[r0:r1, c0:c1] = 0.0
 
-    def glaze(self, x0: float, z0: float, x1: float, z1: float, rgb: Rgb, pane: float) -> None:
-        """Fill a rectangle that lets out the share ``pane``, 0 to 1, of the light of a room."""
+    def glaze(
+        self, x0: float, z0: float, x1: float, z1: float, rgb: Rgb, light_share: float
+    ) -> None:
+        """Fill a rectangle that lets out a share, 0 to 1, of the light of a room."""
         self.rect(x0, z0, x1, z1, rgb)
         c0, r0, c1, r1 = (max(0, round(v / _TEXEL_M)) for v in (x0, z0, x1, z1))
-        self.pane[r0:r1, c0:c1] = pane
+        self.light_share[r0:r1, c0:c1] = light_share
 
     def weather(self, rng: np.random.Generator) -> None:
         """Add blotches and streaks that run down."""
@@ -234,15 +236,15 @@ def _window(
     (x, z), (width, height) = corner, size
     canvas.rect(x - 0.06, z - 0.12, x + width + 0.06, z, (0.5, 0.5, 0.48), tinted=0.3)  # sill
     canvas.rect(x, z, x + width, z + height, frame)
-    panes = 2 if width > 1.0 else 1
-    pane = width / panes
-    drawn = rng.random() < 0.3
-    for i in range(panes):
+    pane_count = 2 if width > 1.0 else 1
+    pane_width = width / pane_count
+    has_blind = rng.random() < 0.3
+    for i in range(pane_count):
         shade = float(rng.uniform(0.5, 1.6))
-        left = x + i * pane + 0.06
-        right = left + pane - 0.12
+        left = x + i * pane_width + 0.06
+        right = left + pane_width - 0.12
         canvas.glaze(left, z + 0.06, right, z + height - 0.06, _glass(shade), 1.0)
-        if drawn:  # blind or curtain
+        if has_blind:  # blind or curtain
             top = z + height - 0.06
             low = top - rng.uniform(0.2, 0.9) * (height - 0.12)
             canvas.glaze(left, low, right, top, (0.55, 0.53, 0.48), 0.4)
@@ -282,11 +284,11 @@ def _shop_fronts(canvas: _Canvas, shops: _Shops, rng: np.random.Generator) -> No
             colour = tuple(rng.uniform(0.05, 0.45, 3).tolist())
             canvas.rect(x + 0.15, 0.45, x + BAY_M - 0.15, 2.2, frame)
             for left in (x + 0.22, x + 0.5 * BAY_M + 0.03):
-                pane = 0.5 * BAY_M - 0.25
+                pane_width = 0.5 * BAY_M - 0.25
                 glass = _glass(float(rng.uniform(0.4, 1.2)))
-                canvas.glaze(left, 0.52, left + pane, 2.12, glass, 1.0)
+                canvas.glaze(left, 0.52, left + pane_width, 2.12, glass, 1.0)
                 for _ in range(3):  # goods in the window
-                    a, h = rng.uniform(0, pane - 0.3), rng.uniform(0.2, 0.9)
+                    a, h = rng.uniform(0, pane_width - 0.3), rng.uniform(0.2, 0.9)
                     goods = tuple(rng.uniform(0.05, 0.5, 3).tolist())
                     canvas.glaze(left + a, 0.52, left + a + 0.3, 0.52 + h, goods, 0.3)
             canvas.rect(x + 0.1, 2.25, x + BAY_M - 0.1, 2.65, colour)

@@ -1,4 +1,4 @@
-"""Build blocks of an alpine village: chalets on sloping meadows, and alps with hay barns.
+"""Build blocks of an alpine village: chalets on sloping meadows, and pastures with barns.
 
 Local coordinates (a, b) are metres along a street and away from it, see ``StreetFrame``.
 """
@@ -58,7 +58,7 @@ def _chalet(builder: PlaceBuilder, frame: StreetFrame, depth: float) -> None:
         barrier(builder, "fence", frame, (-3.0, 1.0), (9.0, 1.0), (0.1, 1.0))
 
 
-def alp(builder: PlaceBuilder, block: Block) -> None:
+def alpine_pasture(builder: PlaceBuilder, block: Block) -> None:
     """Lay a pasture with a few hay barns and some bales."""
     rng = builder.rng
     pasture(builder, block)

@@ -28,7 +28,7 @@ _YACHT_COLOURS: tuple[Rgb, ...] = ((0.62, 0.62, 0.60), (0.55, 0.56, 0.58), (0.03
 def _basin(builder: PlaceBuilder, block: Block, front_m: float) -> tuple[float, ...] | None:
     """Flood a block behind ``front_m`` metres of quay.
 
-    Return the local bounds (a0, a1, b0, b1) of the basin; None without room.
+    Return the local bounds (a0, a1, b0, b1) of the basin; None if there is no room for it.
     """
     frame, length, depth = block.front(1), block.length, block.depth
     tone = float(builder.rng.random())

@@ -105,8 +105,8 @@ def building(
     Return whether it was placed.
     """
     position, yaw = frame.point(*spot), frame.yaw(*spot)
-    for share in (1.0, 0.9, 0.8, 0.7):
-        fitted = (size[0] * share, size[1] * share, size[2])
+    for scale in (1.0, 0.9, 0.8, 0.7):
+        fitted = (size[0] * scale, size[1] * scale, size[2])
         if builder.place(ObjectSpec("building", shape, fitted, style=style), position, yaw):
             return True
     return False

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from simulate.place.alpine import alp, chalets
+from simulate.place.alpine import alpine_pasture, chalets
 from simulate.place.cemeteries import chapel, graves
 from simulate.place.containers import container_yard
 from simulate.place.dwellings import flats, housing
@@ -17,7 +17,13 @@ from simulate.place.orchards import orchard
 from simulate.place.plan import Plan, Quarter
 from simulate.place.power import power_lines
 from simulate.place.relief import valley
-from simulate.place.roadside import avenues, deliveries, street_furniture, street_lamps, traffic
+from simulate.place.roadside import (
+    parked_lorries,
+    roadside_trees,
+    street_furniture,
+    street_lamps,
+    traffic,
+)
 from simulate.place.solar import solar
 from simulate.place.streets import StreetKind
 from simulate.place.urban import fronts, square
@@ -35,7 +41,7 @@ SUBURB = Plan(
             open_share=0.06,
         ),
     ),
-    after_blocks=(street_lamps, traffic, street_furniture, deliveries),
+    after_blocks=(street_lamps, traffic, street_furniture, parked_lorries),
 )
 
 PARK = Plan(
@@ -78,7 +84,7 @@ INDUSTRIAL = Plan(
         ),
     ),
     before_blocks=(power_lines,),
-    after_blocks=(street_lamps, traffic, street_furniture, deliveries),
+    after_blocks=(street_lamps, traffic, street_furniture, parked_lorries),
 )
 
 STREET = Plan(
@@ -111,8 +117,8 @@ STREET = Plan(
         street_lamps,
         partial(traffic, parked=0.45),
         street_furniture,
-        deliveries,
-        avenues,
+        parked_lorries,
+        roadside_trees,
     ),
 )
 
@@ -168,7 +174,7 @@ CONTAINERS = Plan(
             open_share=0.05,
         ),
     ),
-    after_blocks=(street_lamps, partial(traffic, parked=0.0), deliveries),
+    after_blocks=(street_lamps, partial(traffic, parked=0.0), parked_lorries),
     streets=StreetKind(verge="parking", bend=0.0),
 )
 
@@ -182,7 +188,7 @@ CEMETERY = Plan(
             open_share=0.05,
         ),
     ),
-    after_blocks=(avenues,),
+    after_blocks=(roadside_trees,),
     streets=StreetKind(surface="path", verge="grass", widths_m=(5.0, 3.4), bend=0.15),
 )
 
@@ -190,9 +196,9 @@ ALPINE = Plan(
     block_m=80.0,
     quarters=(
         Quarter(
-            first=(chalets, chalets, chapel, alp),
-            uses={chalets: 0.58, alp: 0.26, spruces: 0.16},
-            open_land=alp,
+            first=(chalets, chalets, chapel, alpine_pasture),
+            uses={chalets: 0.58, alpine_pasture: 0.26, spruces: 0.16},
+            open_land=alpine_pasture,
             open_share=0.1,
         ),
     ),
@@ -212,6 +218,6 @@ HARBOUR = Plan(
             open_share=0.04,
         ),
     ),
-    after_blocks=(street_lamps, partial(traffic, parked=0.1), street_furniture, deliveries),
+    after_blocks=(street_lamps, partial(traffic, parked=0.1), street_furniture, parked_lorries),
     streets=StreetKind(bend=0.0),
 )

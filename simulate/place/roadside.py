@@ -26,7 +26,7 @@ def street_lamps(builder: PlaceBuilder) -> None:
                 builder.place(lamp, position, yaw, Footing(on_road=True))
 
 
-def avenues(builder: PlaceBuilder) -> None:
+def roadside_trees(builder: PlaceBuilder) -> None:
     """Place trees along both sides of every road, behind its pavements, where there is room."""
     for road in builder.roads:
         for side in (1.0, -1.0):
@@ -93,7 +93,7 @@ def traffic(builder: PlaceBuilder, parked: float = 0.28) -> None:
                 )
 
 
-def deliveries(builder: PlaceBuilder) -> None:
+def parked_lorries(builder: PlaceBuilder) -> None:
     """Place lorries that stand at the kerb."""
     for road in builder.roads:
         for s in np.arange(builder.rng.uniform(10, 40), polyline_length(road.line), 30.0):

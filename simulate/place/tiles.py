@@ -38,7 +38,7 @@ _TILE_M: Final = 1000.0 / 3  # approximate side of a tile
 _CACHED_TILES: Final = 32  # a tile takes about 5 MB
 _CACHED_TERRAINS: Final = 1024  # 0.2 MB each
 _ROADS_M: Final = 1000.0  # distance from the middle up to which flights may follow roads
-_KEYS: Final = 1 << 24  # keys seed objects; renderers read them as float32, exact below this
+_KEY_LIMIT: Final = 1 << 24  # object keys (seeds) are below it, so that float32 is exact
 _ROAD_STEP_M: Final = 3.0  # distance between the points of a road
 
 
@@ -51,7 +51,7 @@ class TiledPlace:
     """A square place of ``side_m`` metres, which consists of equal tiles of about 333 m.
 
     Args:
-        plan: Plan of the tiles, with a single quarter.
+        plan: Plan of the tiles, with a single quarter (part of the place).
         seed: Seed of the place.
         side_m: Side of the place, metres.
 
@@ -76,7 +76,7 @@ class TiledPlace:
             lambda index: self.tile(index).terrain
         )
         self.tile: Callable[[Index], World] = lru_cache(_CACHED_TILES)(self._build)
-        """Returns the tile in a row, from the south, and column, in its own coordinates."""
+        """Returns the tile of a row (from the south) and column, in its own coordinates."""
 
     def centre(self, index: Index) -> Array:
         """Return the centre (2,) of a tile, metres."""
@@ -175,14 +175,14 @@ class TiledPlace:
     def _build(self, index: Index) -> World:
         x, y = self.centre(index).tolist()
         tile = self._plan.build_tile(self.seed, self.tile_m, index, (x, y))
-        first = (1 + index[0] * self.count + index[1]) * (MAX_OBJECT_ID + 1)
-        objects = tuple(replace(o, key=(first + o.id) % _KEYS) for o in tile.objects)
+        first_key = (1 + index[0] * self.count + index[1]) * (MAX_OBJECT_ID + 1)
+        objects = tuple(replace(o, key=(first_key + o.id) % _KEY_LIMIT) for o in tile.objects)
         return replace(tile, objects=objects, land_heights=self._relief.nodes.ravel())
 
 
 @dataclass(frozen=True)
 class _TiledHeights(Heightfield):
-    """Heights of a tiled place: those of its tiles, and coarse nodes for their range."""
+    """Heights of a tiled place: ``height`` is exact, the coarse ``nodes`` give the range."""
 
     place: TiledPlace
 

@@ -6,7 +6,7 @@ from simulate.place.dwellings import flats, housing
 from simulate.place.greens import field, park
 from simulate.place.industry import halls
 from simulate.place.plan import Plan, Quarter
-from simulate.place.roadside import deliveries, street_furniture, street_lamps, traffic
+from simulate.place.roadside import parked_lorries, street_furniture, street_lamps, traffic
 
 TOWN = Plan(
     block_m=80.0,
@@ -18,5 +18,5 @@ TOWN = Plan(
             open_share=0.12,
         ),
     ),
-    after_blocks=(street_lamps, traffic, street_furniture, deliveries),
+    after_blocks=(street_lamps, traffic, street_furniture, parked_lorries),
 )

@@ -45,7 +45,7 @@ from simulate.render.frame import (
     world_rays,
 )
 from simulate.render.job import Board, FrameDone, RenderChunk, RenderJob, frame_path
-from simulate.render.precipitation import precipitate
+from simulate.render.precipitation import draw_precipitation
 from simulate.render.process import end_with, keep_to_one_core
 from simulate.render.rendered_world import build_world, find_ids
 from simulate.render.shutter import roll_shutter
@@ -100,8 +100,8 @@ def main(chunk_path: str) -> None:
             ids = np.zeros(1, np.int64) if stage is None else stage.ids
             arrays = _render(pose, travel, folder, ids)
             if condition is not None:
-                drops = np.random.default_rng([job.seed, frame, 6])
-                arrays["rgb"] = precipitate(arrays["rgb"], job.camera, pose, condition, drops)
+                rng = np.random.default_rng([job.seed, frame, 6])
+                arrays["rgb"] = draw_precipitation(arrays["rgb"], job.camera, pose, condition, rng)
             radiance = None
             if thermal is not None and world is not None:
                 radiance = _radiance(thermal, world, job.camera, pose, travel, arrays)

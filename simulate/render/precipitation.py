@@ -52,14 +52,14 @@ _DROPS: Final = _Particles(50.0, 5.0, 0.0025, 0.25, 7.5, 1.6)
 _FLAKES: Final = _Particles(70.0, 6.0, 0.0055, 0.4, 1.2, 1.5)
 
 
-def precipitate(
+def draw_precipitation(
     rgb: NDArray[np.uint8],
     camera: PinholeCamera,
     cam_from_world: Array,
     condition: Condition,
     rng: np.random.Generator,
 ) -> NDArray[np.uint8]:
-    """Return a picture (H, W, 3) uint8 sRGB with the rain and snow that fall in front of it.
+    """Draw falling rain and snow over a picture; return it, (H, W, 3) uint8 sRGB.
 
     Args:
         rgb: The picture.

@@ -49,7 +49,8 @@ class ThermalCamera:
         world: The place.
         condition: The condition.
         origin: The geodetic origin of the place.
-        materials: Names of the renderer's materials, whose numbers in its pass begin at 1.
+        materials: Names of the renderer's materials, in the order of the indices in its material
+            pass, which begin at 1.
         ground_images: The ground as the renderer shows it.
     """
 
@@ -68,7 +69,7 @@ class ThermalCamera:
         self._shade = Shade(world, self._weather.sun)
         self._engines = Engines(world)
         self._substances = substance_table(materials)
-        self._colours = _object_albedos(world)
+        self._object_albedos = _object_albedos(world)
 
     def __call__(
         self, layers: Mapping[str, NDArray[Any]], directions: Array, centres: Array
@@ -77,7 +78,7 @@ class ThermalCamera:
 
         Args:
             layers: "depth", "instance", "semantic" and "normal" as in a scene, "material", the
-                number (H, W) of the material, and "uv", its texture coordinates (H, W, 2).
+                indices (H, W) of the materials, and "uv", texture coordinates (H, W, 2).
             directions: Rays (H, W, 3) of the pixels in the world, with depth 1, metres.
             centres: Origins of the rays, of a shape that broadcasts to (H, W, 3), metres.
 
@@ -120,7 +121,7 @@ class ThermalCamera:
     def _find_substances(
         self, layers: Mapping[str, NDArray[Any]], shown: Array
     ) -> NDArray[np.int16]:
-        """Return the number (H, W) of the substance at each pixel; 0 in the sky."""
+        """Return the index (H, W) of the substance at each pixel; 0 in the sky."""
         material, label = layers["material"], layers["semantic"]
         substance = np.where(shown, self._substances[material, label], np.int16(0))
         if (substance < 0).any():
@@ -131,7 +132,7 @@ class ThermalCamera:
                 f"no substance is known for the material {title!r} of the class {name!r}"
             )
         for style in Facade:
-            wall = shown & (material == self._number(facade_material(style)))
+            wall = shown & (material == self._material_index(facade_material(style)))
             if wall.any():
                 glazed = _glass(style)
                 height, width = glazed.shape
@@ -141,7 +142,7 @@ class ThermalCamera:
                 substance[wall] = np.where(is_pane, NAMES.index("pane"), substance[wall])
         return np.asarray(substance)
 
-    def _number(self, material: str) -> int:
+    def _material_index(self, material: str) -> int:
         return self._materials.index(material) if material in self._materials else -1
 
     def _find_albedo_and_cover(
@@ -160,22 +161,22 @@ class ThermalCamera:
         # Snow on objects is an even cover here, whereas the picture has patches.
         level = np.clip((normal[..., 2] - 0.35) / 0.4, 0, 1)
         snow = _SNOW_ON_OBJECTS * season.snow * (1 - season.thaw) * level
-        colour = np.full(albedo.shape, np.nan, np.float32)
-        for kind, known in self._colours.items():
-            numbers = [k for k, name in enumerate(self._materials) if name.startswith(kind)]
-            of_kind = np.isin(material, numbers)
-            colour[of_kind] = known[instance[of_kind]]
-        ground = material == self._number("ground")
+        visible_albedo = np.full(albedo.shape, np.nan, np.float32)
+        for prefix, object_albedo in self._object_albedos.items():
+            indices = [k for k, name in enumerate(self._materials) if name.startswith(prefix)]
+            has_prefix = np.isin(material, indices)
+            visible_albedo[has_prefix] = object_albedo[instance[has_prefix]]
+        ground = material == self._material_index("ground")
         row, column = self._world.ground.texel(points[ground, 0], points[ground, 1])
-        visible = _luminance(self._ground_images.albedo[row, column])
-        colour[ground] = visible
+        ground_albedo = _luminance(self._ground_images.albedo[row, column])
+        visible_albedo[ground] = ground_albedo
         low, high = _SNOW_ALBEDO
-        white = np.clip((visible - low) / (high - low), 0, 1) if season.snow > 0 else 0.0
-        snow[ground] = white
+        snow_cover = np.clip((ground_albedo - low) / (high - low), 0, 1) if season.snow > 0 else 0.0
+        snow[ground] = snow_cover
         is_open = np.isin(layers["semantic"][ground], [CLASSES[name] for name in _OPEN_GROUND])
         flood[ground] = is_open * self._ground_images.specular[row, column] / np.float32(255)
-        known = np.clip(solar_ratio * colour, _MIN_ALBEDO, _MAX_ALBEDO)
-        return np.where(np.isnan(colour), albedo, known), snow, flood
+        solar_albedo = np.clip(solar_ratio * visible_albedo, _MIN_ALBEDO, _MAX_ALBEDO)
+        return np.where(np.isnan(visible_albedo), albedo, solar_albedo), snow, flood
 
     def _gather_sunlight(
         self, substance: NDArray[np.int16], points: Float, normal: Float, sky_view: Float

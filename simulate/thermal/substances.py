@@ -28,7 +28,7 @@ class Substance(NamedTuple):
     Attributes:
         albedo: Share of sunlight that is reflected, used if the colour is not known.
         solar_ratio: Ratio of the albedo in sunlight to the albedo in visible light, used if the
-            colour is known. Leaves reflect far more near infrared than light.
+            colour is known. Leaves reflect far more near infrared than visible light.
         emissivity: Emissivity between 8 and 14 micrometres.
         hours: Time constant of the temperature, hours.
         transfer: Heat transfer to the air by convection, W/(m2 K), in light wind.
@@ -75,8 +75,9 @@ SUBSTANCES: Final[dict[str, Substance]] = {
 NAMES: Final = tuple(SUBSTANCES)
 """The names of the substances. The number of a substance is its position here."""
 
-# Substance of the ground by class. A site (a real place) has buildings and trees in its ground.
-_GROUND: Final[dict[str, str]] = {
+# Substance of the ground by class. The ground of a site (a real place) includes its buildings and
+# trees.
+_BY_GROUND_CLASS: Final[dict[str, str]] = {
     "grass": "grass",
     "field": "soil",
     "road": "asphalt",
@@ -90,7 +91,7 @@ _GROUND: Final[dict[str, str]] = {
     "hedge": "leaf",
 }
 # Substance by class, for parts of objects whose material does not determine the substance.
-_OBJECTS: Final[dict[str, str]] = {
+_BY_CLASS: Final[dict[str, str]] = {
     "building": "masonry",
     "tree": "wood",
     "hedge": "leaf",
@@ -119,7 +120,7 @@ _OBJECTS: Final[dict[str, str]] = {
     "crane": "bodywork",
 }
 # Substance by material, for materials that are always the same substance.
-_COATINGS: Final[dict[str, str]] = {
+_BY_MATERIAL: Final[dict[str, str]] = {
     **{facade_material(style): "masonry" for style in Facade},
     facade_material(Facade.HALL_CLADDING): "painted sheet",
     facade_material(Facade.SHED_BOARDS): "wood",
@@ -133,29 +134,31 @@ _COATINGS: Final[dict[str, str]] = {
     "headlight": "pane",
     "tail_light": "pane",
 }
-# Vehicles have tyres and trim where they are not painted.
-_ON_TYRES: Final = ("car", "van", "truck", "tractor")
+# Vehicles whose unpainted parts are tyres and trim.
+_WITH_TYRES: Final = ("car", "van", "truck", "tractor")
 
 
 def substance_name(material: str, class_name: str) -> str:
-    """Return the substance of a surface by its material in the picture and its class.
+    """Return the substance of a surface by its rendering material and its class.
 
     Raises:
         ValueError: No substance is known for this combination.
     """
     is_object = CLASSES[class_name] >= FIRST_OBJECT_LABEL
-    if class_name in _GROUND and (material == "ground" or (material == "plain" and not is_object)):
-        return _GROUND[class_name]
-    if is_object and material in _COATINGS:
-        return _COATINGS[material]
+    if class_name in _BY_GROUND_CLASS and (
+        material == "ground" or (material == "plain" and not is_object)
+    ):
+        return _BY_GROUND_CLASS[class_name]
+    if is_object and material in _BY_MATERIAL:
+        return _BY_MATERIAL[material]
     if is_object and material in ("plain", "paint", "glass"):
         if class_name == "panel" and material != "plain":
             return "solar cell"
         if material == "glass":
             return "pane"
-        if material == "plain" and class_name in _ON_TYRES:
+        if material == "plain" and class_name in _WITH_TYRES:
             return "rubber"
-        return _OBJECTS[class_name]
+        return _BY_CLASS[class_name]
     raise ValueError(
         f"no substance is known for the material {material!r} of the class {class_name!r}"
     )
@@ -164,8 +167,8 @@ def substance_name(material: str, class_name: str) -> str:
 def substance_table(materials: Sequence[str]) -> NDArray[np.int16]:
     """Return the number of the substance (materials + 1, 256) by material and class label.
 
-    Materials are counted from 1, as in the renderer's pass. The number is -1 for combinations that
-    no surface has.
+    Materials are counted from 1, as in the renderer's material pass. The number is -1 for
+    combinations that no surface has.
     """
     table = np.full((len(materials) + 1, 256), -1, np.int16)
     for row, material in enumerate(materials, 1):

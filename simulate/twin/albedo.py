@@ -26,7 +26,7 @@ _SELF_SHADING = 0.81
 _DARKEST, _BRIGHTEST = 0.008, 0.85  # limits of the albedo of real surfaces
 _MAX_GAIN = 5.0  # upper bound of the brightening of shadows
 _WALL_LEVELNESS, _WALL_BLUR_M = 0.6, 1.0  # maximum levelness of a wall, and blur of its colours (m)
-_SEAM_M = 0.4  # width of the transition at the edge of a shadow
+_TRANSITION_M = 0.4  # width of the transition at the edge of a shadow
 _MIN_CELLS = 200  # minimum number of sunny and of shaded cells of a class to measure its gain
 
 
@@ -49,7 +49,7 @@ def estimate_albedo(rgb: Float, condition: Condition, mean_albedo: float | None 
 
 
 def _brightness(condition: Condition) -> float:
-    """Return the exposed value of level white ground under a condition."""
+    """Return the linear value of level white ground after exposure, under a condition."""
     sky = condition.sky.strength * (sum(condition.sky.zenith) + sum(condition.sky.horizon)) / 6
     sun = condition.sun.watts * np.sin(np.radians(condition.sun.elevation)) / np.pi
     return float(_SELF_SHADING * 2**condition.exposure * (sun + sky))
@@ -79,7 +79,7 @@ def soften_shadows(
     Returns:
         The albedo, and the mean gain of shadows.
     """
-    sigma = _SEAM_M / cell_m
+    sigma = _TRANSITION_M / cell_m
     shade = cv2.GaussianBlur(1 - lit.astype(np.float32), (0, 0), sigma)
     value = albedo.mean(-1)
     gain = np.ones(value.shape, np.float32)

@@ -41,7 +41,7 @@ _NARROWEST_WATER_M = 2.5
 
 
 def classify(
-    rgb: Float, surface: Float, ground: Float, cell_m: float, closed: Mask | None = None
+    rgb: Float, surface: Float, ground: Float, cell_m: float, unknown_height: Mask | None = None
 ) -> Labels:
     """Classify water, low vegetation, ground, roofs and crowns.
 
@@ -52,7 +52,7 @@ def classify(
         surface: heights (n, n), metres.
         ground: heights of the ground (n, n), metres.
         cell_m: side of a cell, metres.
-        closed: mask (n, n) of unknown heights.
+        unknown_height: mask (n, n) of unknown heights.
 
     Returns:
         Labels (n, n) of ``objconnect.scene.bundle.labels.CLASSES``.
@@ -69,10 +69,10 @@ def classify(
     leafy = (green & (rough > _GREEN_ROUGH_M)) | ((excess > _FAINT) & (rough > _FAINT_ROUGH_M))
     crown = _majority(leafy, high, cell_m)
     labels[high] = np.where(crown, CROWN, ROOF)[high]
-    if closed is not None:
-        flat = closed & ~high & (labels != WATER)
-        leaves = _majority((excess > 0) & (_grain(rgb, cell_m) > _GRAINY), flat, cell_m)
-        labels[_drop_small_patches(leaves & flat, _MIN_PATCH_M2, cell_m)] = CROWN
+    if unknown_height is not None:
+        candidates = unknown_height & ~high & (labels != WATER)
+        leaves = _majority((excess > 0) & (_grain(rgb, cell_m) > _GRAINY), candidates, cell_m)
+        labels[_drop_small_patches(leaves & candidates, _MIN_PATCH_M2, cell_m)] = CROWN
     return labels
 
 

@@ -14,8 +14,8 @@ from simulate.look.seasons import SEASONS
 
 _FILES = ("ortho", "dsm", "classes")
 
-LEAST_SITE_M: Final = 40.0
-"""Least side of a site, metres; procedural places have 120 m or more."""
+MIN_SITE_SIDE_M: Final = 40.0
+"""Minimum side of a site, metres; procedural places have 120 m or more."""
 
 
 class SiteConfig(Config):
@@ -73,7 +73,7 @@ class SiteConfig(Config):
 
     @model_validator(mode="before")
     @classmethod
-    def _take_digests(cls, values: object) -> object:
+    def _add_digests(cls, values: object) -> object:
         if not isinstance(values, dict) or values.get("sha256"):
             return values
         return values | {"sha256": file_digests(values)}

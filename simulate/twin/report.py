@@ -49,6 +49,6 @@ class SiteReport(BaseModel):
         )
         if self.sun is not None:
             summary += (
-                f"; shadows of a sun {self.sun[1]:.0f}° high softened on {100 * self.shade:.0f} %"
+                f"; sun {self.sun[1]:.0f}° high, shadows softened on {100 * self.shade:.0f} %"
             )
         return "\n".join((summary, *self.notes))

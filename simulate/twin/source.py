@@ -17,7 +17,7 @@ from objconnect.scene.geo.local_coordinates import move_to_height
 from objconnect.scene.geo.rasters import Raster
 from objconnect.scene.geometry.geodesy import Geodetic
 from objconnect.scene.storage.scratch import scratch
-from simulate.twin.options import LEAST_SITE_M, SiteConfig
+from simulate.twin.options import MIN_SITE_SIDE_M, SiteConfig
 from simulate.twin.photographs import Photograph, covered_square, map_photographs
 from simulate.twin.sampling import inner_half_side
 
@@ -96,10 +96,10 @@ def measure_extent(site: SiteConfig, has_side: bool = False) -> Extent:
     colours, heights = _rasters(site)
     origin = _middle(colours, heights, site.undulation)
     side_m = 2 * inner_half_side((colours, heights), origin)
-    if side_m < LEAST_SITE_M and not has_side:
+    if side_m < MIN_SITE_SIDE_M and not has_side:
         raise InputError(
             f"{site.ortho} and {site.dsm} have a square of {max(side_m, 0):.0f} m in common, a "
-            f"site needs {LEAST_SITE_M:.0f} m: give larger files"
+            f"site needs {MIN_SITE_SIDE_M:.0f} m: give larger files"
         )
     return Extent(origin, float(min(np.floor(side_m), _MAX_SIDE_M)))
 
@@ -146,10 +146,10 @@ def _side(scene: Scene) -> float:
         raise InputError(f"the map of {scene.path} has no points: build it again")
     max_side_m = min(2 * float(np.abs(points[:, :2]).max()), _MAX_SIDE_M)
     side_m = covered_square(photographs, float(np.median(points[:, 2])), max_side_m)
-    if side_m < LEAST_SITE_M:
+    if side_m < MIN_SITE_SIDE_M:
         raise InputError(
             f"at least two photographs of {scene.path} see a square of {side_m:.0f} m around its "
-            f"origin, a site needs {LEAST_SITE_M:.0f} m: photograph more of it"
+            f"origin, a site needs {MIN_SITE_SIDE_M:.0f} m: photograph more of it"
         )
     return float(np.floor(side_m))
 

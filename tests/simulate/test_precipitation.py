@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from simulate.camera.pinhole import PinholeCamera
 from simulate.look.conditions import condition
-from simulate.render.precipitation import precipitate
+from simulate.render.precipitation import draw_precipitation
 
 CAMERA = PinholeCamera(width=320, height=240, f=280.0, cx=160.0, cy=120.0)
 DARK = np.full((240, 320, 3), 40, np.uint8)
@@ -19,7 +19,7 @@ DOWN[:3, :3] = [[1, 0, 0], [0, -1, 0], [0, 0, -1]]
 
 
 def fall(name: str, pose: NDArray[np.float64] = DOWN, seed: int = 0) -> NDArray[np.uint8]:
-    return precipitate(DARK, CAMERA, pose, condition(name), np.random.default_rng(seed))
+    return draw_precipitation(DARK, CAMERA, pose, condition(name), np.random.default_rng(seed))
 
 
 def test_nothing_falls_from_other_skies() -> None:

@@ -72,7 +72,7 @@ def publish_weights(
         benchmarks: published data sets on the hub, ``hf://OWNER/NAME@COMMIT``, whose scores the
             hub is to show.
         release: licence and creator.
-        dry_run: whether to write nothing and to report the bytes.
+        dry_run: whether to write nothing and to report the size.
 
     Raises:
         InputError: the weights, their card or the results are missing or damaged, no licence is

@@ -106,12 +106,12 @@ def recall_at_risk(outcomes: Sequence[PredictedOutcome], threshold: Threshold) -
     certain = [o for o in ranked if min(doubt(o)) < np.inf]
     if not certain:
         return None
-    right = np.array([is_correct(o, threshold) for o in ranked])
-    correct = np.cumsum(right[: len(certain)])
-    accepted = np.arange(1, len(certain) + 1)
+    is_right = np.array([is_correct(o, threshold) for o in ranked])
+    correct_count = np.cumsum(is_right[: len(certain)])
+    accepted_count = np.arange(1, len(certain) + 1)
     # If one of several tied answers is accepted, all of them are.
     doubts = [doubt(o) for o in certain]
     ends_tie = np.array([a != b for a, b in pairwise([*doubts, None])])
-    allowed = np.flatnonzero(ends_tie & (accepted - correct < RISK * accepted))
-    right[allowed[-1] + 1 if len(allowed) else 0 :] = False
-    return share(right, [o.course_name for o in ranked])
+    allowed = np.flatnonzero(ends_tie & (accepted_count - correct_count < RISK * accepted_count))
+    is_right[allowed[-1] + 1 if len(allowed) else 0 :] = False
+    return share(is_right, [o.course_name for o in ranked])

@@ -36,9 +36,9 @@ class HeadlineRow:
         part: "all" or a part of the track.
         method: label of the method.
         cell_queries: number of queries of the cell; a method may lack results of some of them.
-        places: number of sites of the queries for which the method has results.
+        places: number of places of the queries for which the method has results.
         surest: recall at 0.5 m 5° at bounded risk, see ``cells.recall_at_risk``; None if no answer
-            has a probability or a sigma, or the reference poses do not judge 0.5 m.
+            has a probability or a sigma, or the reference poses are too inexact for 0.5 m.
         summary: figures of the queries.
     """
 

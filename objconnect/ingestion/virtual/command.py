@@ -1,4 +1,4 @@
-"""Make the scene of an orthophoto: virtual photographs with exact poses and depth."""
+"""Make a scene from an orthophoto: virtual photographs with exact poses and depth."""
 
 from __future__ import annotations
 
@@ -128,12 +128,12 @@ def photograph_orthophoto(
         out: new or empty folder.
         undulation: height of the geoid above the ellipsoid, metres, for a surface model with
             heights above sea level; 0 means heights above the ellipsoid. None is taken as 0, and
-            a note says so if the file does not state what its heights are above.
+            a note says so if the file does not state the vertical datum.
         options: altitude, overlap, tilt and size of the views.
         origin: origin of the world; by default in the middle of the orthophoto, at the
             mean height of the surface model.
-        georeference: accuracy of both files on earth, which the files do not state; None if
-            unknown.
+        georeference: absolute (geodetic) accuracy of both files, which they do not state; None
+            if unknown.
 
     Raises:
         InputError: a raster cannot be used, the rasters do not overlap, too few views show enough

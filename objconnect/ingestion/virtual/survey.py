@@ -33,7 +33,7 @@ _GROUND_CELLS: Final = 2
 
 @dataclass(frozen=True)
 class Survey:
-    """The rasters, and the area that both cover.
+    """An orthophoto, a surface model and the area that both cover.
 
     Attributes:
         surface: the rasters and their heights.
@@ -107,12 +107,12 @@ def survey_rasters(
         origin = move_to_height(heights.grid.projection, place, float(np.nanmean(ground.values)))
     middle_height = (low + high) / 2 + undulation
     ends = [horizontal_bounds(raster.grid, origin, middle_height) for raster in (colours, heights)]
-    first = np.max([low_end for low_end, _ in ends], axis=0)
-    last = np.min([high_end for _, high_end in ends], axis=0)
-    if (first >= last).any():
+    south_west = np.max([low_end for low_end, _ in ends], axis=0)
+    north_east = np.min([high_end for _, high_end in ends], axis=0)
+    if (south_west >= north_east).any():
         raise InputError(f"{colours.path} and {heights.path} do not overlap")
     surface = Surface(colours, heights, undulation, origin, low + undulation, high + undulation)
-    return Survey(surface, ground, first, last, altitude, collar)
+    return Survey(surface, ground, south_west, north_east, altitude, collar)
 
 
 def _valid_rows(raster: Raster) -> Iterator[NDArray[np.float32]]:
@@ -134,7 +134,7 @@ def _strips(raster: Raster) -> Iterator[NDArray[np.float32]]:
 
 
 def horizontal_bounds(grid: Grid, origin: Geodetic, height: float) -> tuple[Array, Array]:
-    """Return the south-western and north-eastern corner (2,) of a grid in the world, metres."""
+    """Return the south-western and north-eastern corner (2,) of a grid, world metres."""
     left, bottom, right, top = grid.box
     corners = [(e, n, height) for e in (left, right) for n in (bottom, top)]
     world = world_from_coordinates(grid.projection, origin, np.array(corners))[:, :2]

@@ -148,7 +148,7 @@ def collate(pairs: Sequence[Pair]) -> PairBatch:
         )
 
     known = [p.objects for p in pairs if p.objects is not None]
-    of_images = [a for a, _ in known] + [b for _, b in known] if len(known) == len(pairs) else []
+    objects = [a for a, _ in known] + [b for _, b in known] if len(known) == len(pairs) else []
     return PairBatch(
         images([p.image_a for p in pairs]),
         images([p.image_b for p in pairs]),
@@ -160,7 +160,7 @@ def collate(pairs: Sequence[Pair]) -> PairBatch:
         single([p.xy_a for p in pairs]),
         single([p.xy_b for p in pairs]),
         torch.from_numpy(np.stack([p.valid for p in pairs])),
-        tuple(ImageObjects.of(each) for each in of_images),
+        tuple(ImageObjects.of(each) for each in objects),
     )
 
 

@@ -39,7 +39,7 @@ def descend(
         options: options of the minimisation.
 
     Returns:
-        The final poses (M) with the cost around them.
+        The final poses (M) with the cost linearised around them.
     """
     if options.adaptive_damping and can_be_compiled(cost):
         from objconnect.localization.align.compiled_loops import descend_compiled

@@ -22,7 +22,7 @@ ALTITUDE_RATIOS: Final = (0.5, 0.6, 0.72, 0.87, 1.04, 1.25, 1.5)
 photographs. Each is a fifth larger than the one before, because features tolerate a change of scale
 by a tenth."""
 NO_TILT: Final = torch.eye(3, dtype=torch.float64)
-"""The identity: the rotation of a camera that is not tilted further."""
+"""The identity: the rotation that adds no tilt."""
 TILTS_DEG: Final = (0.0, 15.0, 30.0, 45.0, 60.0)
 """Default tilts of the camera, degrees, to try where the attitude is unknown."""
 

@@ -78,7 +78,7 @@ class Neighbours:
             for image in (sparse_map.images[name] for name in sparse_map.names)
         ]
         self._row_of = {name: row for row, name in enumerate(sparse_map.names)}
-        # Photographs that observe points, sorted by point, and where each point's photographs end.
+        # The observers of all points, sorted by point, and the end of each point's part of them.
         rows = np.concatenate([np.empty(0, np.int64), *self._rows])
         photographs = np.repeat(np.arange(len(self._rows)), [len(r) for r in self._rows])
         ends = np.cumsum(np.bincount(rows, minlength=len(sparse_map.xyz)))
@@ -97,8 +97,8 @@ class Neighbours:
         candidates = np.flatnonzero(shared >= _MIN_SHARED_POINTS)
         middle = np.median(self._map.xyz[points], axis=0) if len(points) else self._centres[row]
         distance = float(np.linalg.norm(middle - self._centres[row]))
-        worth = shared * self._rate_angles(row, distance)
-        chosen = self._add_diverse(row, candidates, worth[candidates], [])
+        scores = shared * self._rate_angles(row, distance)
+        chosen = self._add_diverse(row, candidates, scores[candidates], [])
         if len(chosen) < self._options.neighbours:
             chosen = self._add_diverse(row, *self._find_in_view(row, chosen), chosen)
         return [self._map.names[other] for other in chosen]
@@ -192,7 +192,7 @@ class Neighbours:
         self,
         row: int,
         others: NDArray[np.int64],
-        worth: NDArray[np.float64],
+        scores: NDArray[np.float64],
         chosen: Sequence[int],
     ) -> list[int]:
         """Return the chosen neighbours of a photograph and the best of others, added one by one.
@@ -203,14 +203,17 @@ class Neighbours:
         Args:
             row: row of the photograph.
             others: (N,) rows of the photographs to add.
-            worth: (N,) their scores.
+            scores: (N,) their scores.
             chosen: rows of the photographs that are neighbours already.
         """
         baselines = self._centres - self._centres[row]
-        sides = baselines / np.linalg.norm(baselines, axis=1, keepdims=True).clip(min=1e-9)
-        rest, chosen = dict(zip(others.tolist(), worth.tolist(), strict=True)), list(chosen)
+        directions = baselines / np.linalg.norm(baselines, axis=1, keepdims=True).clip(min=1e-9)
+        rest, chosen = dict(zip(others.tolist(), scores.tolist(), strict=True)), list(chosen)
         while rest and len(chosen) < self._options.neighbours:
-            cosine = {each: np.abs(sides[chosen] @ sides[each]).max(initial=0.0) for each in rest}
+            cosine = {
+                each: np.abs(directions[chosen] @ directions[each]).max(initial=0.0)
+                for each in rest
+            }
             best = max(rest, key=lambda each: rest[each] * (_SAME_SIDE_WEIGHT + 1 - cosine[each]))
             chosen.append(best)
             del rest[best]

@@ -80,7 +80,7 @@ class SearchOptions(Config):
     @field_validator("matcher", mode="before")
     @classmethod
     def _complete_matcher(cls, value: Any) -> Any:
-        """Return the name of a method as a group without options."""
+        """Replace the bare name of a method with a mapping that has only this name."""
         if isinstance(value, str):
             return {"method": value}
         if isinstance(value, Mapping) and not isinstance(value.get("method"), str):
@@ -201,7 +201,7 @@ class FeaturemetricConfig(NetworkOptions):
             return self
         off = self._switched_off()
         useless = [n for n in off if n in self.model_fields_set and getattr(self, n) != off[n]]
-        # A worker of a cluster gets all recorded options, so that the default must pass.
+        # A worker of a cluster gets all recorded options, so the default must be accepted.
         if self.search.again not in (1, SearchOptions().again):
             useless.append("search.again")
         for name in useless:

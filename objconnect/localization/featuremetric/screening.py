@@ -40,7 +40,7 @@ def screen_candidates(
         refine: the refiner that will align them in full.
         query: the image.
         candidates: starts of the alignments. Candidates with equal peaks keep their order.
-        clock: the stage ``screening`` receives the seconds.
+        clock: sums the seconds of the stage ``screening``.
     """
     with clock.stage("screening"):
         screened = [ScreenedCandidate(each, rough_peak(refine, query, each)) for each in candidates]

@@ -31,14 +31,14 @@ class Keypoints:
     descriptors: NDArray[Any]
 
 
-def turn_keypoints(
+def transform_keypoints(
     xy: NDArray[np.float32],
     descriptors: NDArray[Any],
     camera: Camera,
     angle: float,
     scale: float = 1.0,
 ) -> Keypoints:
-    """Return the keypoints of a photograph in the form that a matcher takes.
+    """Rotate and scale the keypoints of a photograph for a matcher.
 
     Args:
         xy: (N, 2) COLMAP pixels of the photograph.

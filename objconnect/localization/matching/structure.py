@@ -20,7 +20,7 @@ from objconnect.localization.cache.store import Rows
 from objconnect.localization.initial_poses import list_angles, list_initial_poses
 from objconnect.localization.matching.features import Extractor, map_features
 from objconnect.localization.matching.lifting import find_observations, interpolate_points
-from objconnect.localization.matching.matcher import Keypoints, Matcher, turn_keypoints
+from objconnect.localization.matching.matcher import Keypoints, Matcher, transform_keypoints
 from objconnect.localization.matching.pnp import MIN_MATCHES, PnpConfig, solve_pose
 from objconnect.localization.matching.retrieval import NO_REFERENCE, LazyDescriptors, References
 from objconnect.localization.resolution import map_resolution, metres_per_pixel, scale_to
@@ -245,7 +245,7 @@ class StructureLocalizer:
         images = [self._map.images[self._map.names[int(reference)]] for reference in references]
         rotates = not self._extractor.rotation_invariant
         reference_keypoints = [
-            turn_keypoints(
+            transform_keypoints(
                 lifted.xy,
                 lifted.descriptors,
                 image.camera,
@@ -279,7 +279,9 @@ class _Picture:
     def keypoints(self, camera: Camera) -> Keypoints:
         """Return the keypoints in the rotated picture, in the form that a matcher takes."""
         features = self.features
-        return turn_keypoints(features.xy, features.descriptors, camera, self.angle, self.scale)
+        return transform_keypoints(
+            features.xy, features.descriptors, camera, self.angle, self.scale
+        )
 
 
 class _Pictures:

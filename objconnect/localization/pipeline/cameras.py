@@ -25,8 +25,8 @@ _RELATIVE_FOCALS: Final = (0.5, 0.6, 0.72, 0.86, 1.04, 1.24, 1.5)
 _PINHOLE_FOCAL_SIGMA: Final = 0.06
 # Relative standard deviation of the focal length if the estimated camera is a camera of the map.
 _MAP_FOCAL_SIGMA: Final = 0.005
-# Maximum number of map points that give the distance to the ground.
-_POINTS: Final = 20_000
+# Maximum number of map points from which the distance to the ground is computed.
+_MAX_POINTS: Final = 20_000
 # Rotation sigma of a camera with which localization fails, as a multiple of the largest sigma of
 # the cameras with which it succeeds.
 _FAILED_SIGMA: Final = 2.0
@@ -146,7 +146,7 @@ def estimate_camera(
 
     Args:
         cameras: candidates (``calibration_of``). Pinholes of ``_RELATIVE_FOCALS`` come last,
-            shortest first.
+            in increasing order of focal length.
         queries: photographs of the lens.
         localize: localizes a query.
     """
@@ -190,20 +190,20 @@ def add_focal_error(
     if pose is None or covariance is None:
         return estimate
     size = (camera.width, camera.height)
-    is_of_map = any(
+    is_map_camera = any(
         _same_aspect((c.width, c.height), size) and _fit_to_size(c, size) == camera for c in cameras
     )
     rotation, translation = pose.rotation.numpy(), pose.translation.numpy()
-    sampled = xyz[:: 1 + len(xyz) // _POINTS] @ rotation.T + translation
+    sampled = xyz[:: 1 + len(xyz) // _MAX_POINTS] @ rotation.T + translation
     half = np.array(size) / 2 / camera.focal[0]
     seen = (sampled[:, 2] > 0) & (np.abs(sampled[:, :2]) <= half * sampled[:, 2:]).all(1)
     if not seen.any():
         return estimate
-    relative_sigma = _MAP_FOCAL_SIGMA if is_of_map else _PINHOLE_FOCAL_SIGMA
+    relative_sigma = _MAP_FOCAL_SIGMA if is_map_camera else _PINHOLE_FOCAL_SIGMA
     sigma = relative_sigma * float(np.median(sampled[seen, 2]))
-    wider = covariance.copy()
-    wider[5, 5] += sigma**2
-    return replace(estimate, covariance=wider)
+    enlarged = covariance.copy()
+    enlarged[5, 5] += sigma**2
+    return replace(estimate, covariance=enlarged)
 
 
 def _rotation_sigma(estimate: Estimate) -> float:

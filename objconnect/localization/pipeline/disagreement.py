@@ -37,7 +37,7 @@ class Disagreement(NamedTuple):
         is_far_horizontally: whether the horizontal distances are far larger than their sigmas.
         is_far_vertically: whether the height differences are far larger than their sigmas.
         is_far_in_map: whether the map's accuracy on earth is unknown, and the horizontal distances
-            are larger than a receiver's errors and far larger than the sigmas within the map.
+            are larger than a receiver's errors and far larger than the sigmas relative to the map.
     """
 
     photographs: int
@@ -55,7 +55,7 @@ class _Distances(NamedTuple):
     Attributes:
         horizontal_m: horizontal distance, metres.
         horizontal_sigmas: the same in standard deviations of the difference, one axis.
-        map_sigmas: the same in standard deviations of the estimate within the map, one axis.
+        map_sigmas: the same in standard deviations of the estimate relative to the map, one axis.
         height_m: height of the estimate above the measurement, metres; NaN if unknown.
         height_sigmas: absolute height difference in standard deviations; NaN if unknown.
     """
@@ -75,7 +75,7 @@ def measure_disagreement(
     Distances are divided by the standard deviation of the difference between estimate and
     measurement. The estimate's standard deviation includes the accuracy of the map on earth if that
     is known.
-    ``is_far_in_map`` compares with the estimate's standard deviation within the map alone.
+    ``is_far_in_map`` compares with the estimate's standard deviation relative to the map alone.
     """
     compared = np.array(list(_compare(estimates, geography))).reshape(-1, 5)
     if len(compared) < _MIN_PHOTOGRAPHS:
@@ -105,8 +105,8 @@ def warn_of_disagreement(estimates: Sequence[ImageEstimate], geography: Geograph
 
     If median distances exceed 3 sigmas of estimate and measurement, the line says that the map's
     georeference or the GPS is wrong. Otherwise there is a line only if the accuracy of the map on
-    earth is unknown and the horizontal distance exceeds 8 m and 3 sigmas within the map. It states
-    the distance and blames neither, because the sigmas do not include the error of the map.
+    earth is unknown and the horizontal distance exceeds 8 m and 3 sigmas relative to the map. It
+    states the distance without a cause, because the sigmas do not include the error of the map.
     """
     errors = measure_disagreement(estimates, geography)
     if errors is None:
@@ -150,12 +150,12 @@ def _compare(estimates: Sequence[ImageEstimate], geography: Geography) -> Iterat
             continue
         if not gps.has_position or not np.isfinite(gps.position[:2]).all():
             continue
-        # If the estimate has no sigmas, the distance is compared with the GPS sigmas alone. Within
-        # the map there is then nothing to compare with, and an infinite sigma prevents a warning.
-        accuracy, within = item.accuracy(geography), item.sigmas or (0.0, 0.0)
-        within_sigma = item.sigmas[0] / math.sqrt(2) if item.sigmas else math.inf
-        eph = within[0] if accuracy.eph_m is None else accuracy.eph_m
-        epv = within[1] if accuracy.epv_m is None else accuracy.epv_m
+        # If the estimate has no sigmas, the distance is compared with the GPS sigmas alone. The
+        # sigma relative to the map is then infinite, which gives a distance of 0 sigmas.
+        accuracy, sigmas = item.accuracy(geography), item.sigmas or (0.0, 0.0)
+        map_sigma = item.sigmas[0] / math.sqrt(2) if item.sigmas else math.inf
+        eph = sigmas[0] if accuracy.eph_m is None else accuracy.eph_m
+        epv = sigmas[1] if accuracy.epv_m is None else accuracy.epv_m
         east, north, up = (centre - gps.position).tolist()
         across = math.hypot(east, north)
         across_sigma = math.hypot(eph / math.sqrt(2), gps.horizontal_sigma or 0.0)
@@ -164,7 +164,7 @@ def _compare(estimates: Sequence[ImageEstimate], geography: Geography) -> Iterat
         yield _Distances(
             across,
             across / max(across_sigma, _MIN_SIGMA_M),
-            across / max(within_sigma, _MIN_SIGMA_M),
+            across / max(map_sigma, _MIN_SIGMA_M),
             up,
             abs(up) / max(up_sigma, _MIN_SIGMA_M),
         )

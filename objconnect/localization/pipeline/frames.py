@@ -76,7 +76,7 @@ class TelemetryReader:
         if has_altitude:
             altitude = (telemetry.abs_alt or 0.0) + (self.undulation_m or 0.0)
         fix, sigma = Geodetic(*telemetry.place, altitude), np.full(3, self.options.gps_sigma_m)
-        prior = Prior(*self.localization_map.locate(fix, origin, sigma))
+        prior = Prior(*self.localization_map.to_map_frame(fix, origin, sigma))
         return None if np.hypot(*prior.position[:2]) > REACH_M else prior
 
 

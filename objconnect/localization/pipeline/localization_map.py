@@ -48,10 +48,10 @@ class LocalizationMap:
         """Return the cameras of the map's photographs."""
         return frozenset(image.camera for image in self.sparse_map.images.values())
 
-    def locate(
+    def to_map_frame(
         self, place: Geodetic, origin: Geodetic, sigma: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return a position on earth in the map's frame, (3,) metres, and its standard deviations.
+        """Return a geodetic position in the map's frame, (3,) metres, and its standard deviations.
 
         If the altitude is unknown, the height is the median of the map's cameras with infinite
         sigma.
@@ -99,7 +99,7 @@ def open_map(path: Path) -> LocalizationMap:
 
 
 def geography_of(localization_map: LocalizationMap, options: LocalizeOptions) -> Geography:
-    """Return the coordinates to write in addition to WGS84, and the accuracy of the map on earth.
+    """Return the coordinates to write in addition to WGS84, and the map's absolute accuracy.
 
     Raises:
         InputError: the map has no position on earth and an output needs one, or the map lies

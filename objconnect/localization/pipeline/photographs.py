@@ -136,7 +136,7 @@ class PhotographReader:
         if exif.position is None or origin is None:
             return None
         sigma = np.array(exif.xmp.rtk_sigma or (self.options.gps_sigma_m,) * 3)
-        prior = Prior(*self.localization_map.locate(exif.position, origin, sigma))
+        prior = Prior(*self.localization_map.to_map_frame(exif.position, origin, sigma))
         if exif.gimbal is None:
             return prior
         return replace(

@@ -203,9 +203,9 @@ def _open_workspace(scene: Scene, key: dict[str, Any]) -> Workspace:
         _resumable(scene.path / name, key) for name in (UNFINISHED, DENSE)
     )
     try:
-        if not unfinished.is_same():
+        if not unfinished.has_same_request():
             shutil.rmtree(unfinished.path, ignore_errors=True)
-            if finished_folder.is_same():
+            if finished_folder.has_same_request():
                 _link_complete(finished_folder.path, unfinished.path)
     except OSError as error:
         raise InputError(f"cannot write {scene.path}: {error.strerror or error}") from None

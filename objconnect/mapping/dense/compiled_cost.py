@@ -131,8 +131,8 @@ class CompiledPhotometry:
         self._padded = np.pad(reference.grey.numpy(), STEPS[-1], mode="edge")
         self._near = np.exp(-(_DX**2 + _DY**2) / _F(2 * SIGMA_PX**2))
         self._sigma_grey = _F(SIGMA_GREY)
-        there = [Warp.between(reference, source) for source in sources]
-        visible = Visibility.of(reference, there, expected)
+        to_sources = [Warp.between(reference, source) for source in sources]
+        visible = Visibility.of(reference, to_sources, expected)
         shapes = np.array([source.grey.shape for source in sources])
         sizes = (shapes + np.array([1, _PADDING])).prod(1)
         self._sources = _Sources(
@@ -142,7 +142,7 @@ class CompiledPhotometry:
             _concatenate(inverse_depths or ()),
             np.cumsum(sizes) - sizes,
             shapes,
-            _matrices(there),
+            _matrices(to_sources),
             _matrices([Warp.between(source, reference) for source in sources]),
             _F(GEOMETRIC_WEIGHT),
             _F(GEOMETRIC_LIMIT_PX),
@@ -223,7 +223,18 @@ def _fill_windows(window, padded, near, sigma_grey):  # type: ignore[no-untyped-
 @_compiled
 def _fill_costs(window, planes, bounds, sources, costs):  # type: ignore[no-untyped-def]
     """Write the cost (n,) of a plane at each pixel; ``bounds`` as in ``PlaneCosts.cost``."""
-    seen, num_counted, grey, inverse_depths, begins, shapes, there, back, weight, limit_px = sources
+    (
+        seen,
+        num_counted,
+        grey,
+        inverse_depths,
+        begins,
+        shapes,
+        to_sources,
+        from_sources,
+        geometric_weight,
+        limit_px,
+    ) = sources
     rows, columns, weights, correlators = window
     costs_so_far = np.empty(len(seen), np.float32)
     for i in range(len(rows)):
@@ -239,9 +250,9 @@ def _fill_costs(window, planes, bounds, sources, costs):  # type: ignore[no-unty
                 continue
             shape = (shapes[k, 0], shapes[k, 1])
             begin, source_cost = begins[k], _WORST
-            at = _warp(there, k, shape, x, y, w)
+            at = _warp(to_sources, k, shape, x, y, w)
             if at.inside:
-                slopes = _slopes(there, k, at, gx, gy)
+                slopes = _slopes(to_sources, k, at, gx, gy)
                 source_cost = _ONE - _correlation(
                     grey, begin, shape, at, slopes, weights, correlators, i
                 )
@@ -249,9 +260,9 @@ def _fill_costs(window, planes, bounds, sources, costs):  # type: ignore[no-unty
                     pixel = begin + int(at.v) * (shape[1] + _PADDING) + int(at.u)
                     known, error_px = inverse_depths[pixel], limit_px
                     if known > 0:
-                        returned = _warp(back, k, shape, at.u, at.v, known)
+                        returned = _warp(from_sources, k, shape, at.u, at.v, known)
                         error_px = min(np.hypot(returned.u - x, returned.v - y), error_px)
-                    source_cost += weight * error_px
+                    source_cost += geometric_weight * error_px
             # Insert the cost in ascending order.
             rank = done
             while rank > 0 and costs_so_far[rank - 1] > source_cost:

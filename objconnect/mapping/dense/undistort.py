@@ -42,8 +42,8 @@ def pinhole_of(camera: Camera, size: int) -> Camera:
         pinhole = Camera("PINHOLE", camera.width, camera.height, (fx * zoom, fy * zoom, cx, cy))
         if not any(camera.distortion) and not camera.is_fisheye:
             break
-        edge = pinhole.pixel_grid()
-        border = torch.cat([edge[0], edge[-1], edge[:, 0], edge[:, -1]])
+        grid = pinhole.pixel_grid()
+        border = torch.cat([grid[0], grid[-1], grid[:, 0], grid[:, -1]])
         projected = camera.project(pinhole.unproject(border)[0])
         if bool((projected.valid & camera.contains(projected.xy, border=0.5)).all()):
             break
@@ -92,6 +92,8 @@ def _remap(rgb: NDArray[np.uint8], camera: Camera, pinhole: Camera) -> NDArray[n
     rays, _ = full.unproject(full.pixel_grid())
     # OpenCV counts pixels from the centre of the first pixel.
     x, y = (camera.project(rays).xy - 0.5).float().unbind(-1)
-    straight = cv2.remap(rgb, x.numpy(), y.numpy(), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+    undistorted = cv2.remap(
+        rgb, x.numpy(), y.numpy(), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT
+    )
     size = (pinhole.width, pinhole.height)
-    return np.asarray(cv2.resize(straight, size, interpolation=cv2.INTER_AREA), np.uint8)
+    return np.asarray(cv2.resize(undistorted, size, interpolation=cv2.INTER_AREA), np.uint8)

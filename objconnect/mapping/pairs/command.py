@@ -21,7 +21,7 @@ from objconnect.ingestion.virtual.options import ViewOptions
 from objconnect.ingestion.virtual.survey import Survey, horizontal_bounds, survey_rasters
 from objconnect.mapping.build import build_map
 from objconnect.mapping.pairs.options import PairQueryOptions
-from objconnect.mapping.pairs.photographs import heights_of, query_camera, take_photographs
+from objconnect.mapping.pairs.photographs import height_range, query_camera, take_photographs
 from objconnect.mapping.pairs.rasters import (
     move,
     place_picture,
@@ -216,7 +216,7 @@ def ingest_pair(
             write_json(folder / PAIR_FILE, record)
     level = () if dsm is not None else ("no surface model: the ground is taken as level",)
     notes = (*second.notes(pair.mapped.surface.origin), *level)
-    heights = heights_of(options, max(second.grid.ground_pixel))
+    heights = height_range(options, max(second.grid.ground_pixel))
     return PairReport(options.queries, heights, moved, registration, error, virtual, report, notes)
 
 

@@ -1,4 +1,4 @@
-"""Photographs of an orthophoto as a drone's camera would take them, from exact poses."""
+"""Render photographs as a drone's camera would take them, from an orthophoto at exact poses."""
 
 from __future__ import annotations
 
@@ -60,11 +60,11 @@ def query_camera(options: PairQueryOptions) -> Camera:
     return Camera("PINHOLE", options.size, options.size, (focal, focal, half, half))
 
 
-def heights_of(options: PairQueryOptions, pixel_m: float) -> tuple[float, float]:
+def height_range(options: PairQueryOptions, pixel_m: float) -> tuple[float, float]:
     """Return the lowest and highest height of queries above the ground, metres.
 
     Args:
-        options: the heights, or else the camera.
+        options: the range of heights, or else the camera that determines it.
         pixel_m: pixel of the orthophoto on the ground, metres.
     """
     if options.height_m is not None:
@@ -74,39 +74,39 @@ def heights_of(options: PairQueryOptions, pixel_m: float) -> tuple[float, float]
 
 
 def take_photographs(
-    other: Survey, mapped: Survey, area: Area, options: PairQueryOptions
+    query_survey: Survey, map_survey: Survey, area: Area, options: PairQueryOptions
 ) -> Iterator[Photograph]:
     """Yield the queries: views of one survey from poses at which both surveys fill the picture.
 
     Args:
-        other: survey of the date of the queries.
-        mapped: survey of the date of the map, in the same world.
+        query_survey: survey of the date of the queries.
+        map_survey: survey of the date of the map, in the same world coordinates.
         area: ground that both surveys cover.
-        options: camera, poses and picture of the queries.
+        options: camera, poses and image quality of the queries.
 
     Raises:
         InputError: too few of the drawn poses see enough of both surveys.
     """
     camera = query_camera(options)
     test_camera = camera.resize(_TEST_SIDE, _TEST_SIDE)
-    heights = heights_of(options, max(other.surface.colours.grid.ground_pixel))
+    heights = height_range(options, max(query_survey.surface.colours.grid.ground_pixel))
     rng = np.random.default_rng(options.seed)
     drawn = 0
     with progress_bar("queries", options.queries) as advance:
         for _ in range(_MAX_TRIES * options.queries):
             height = float(rng.uniform(*heights))
-            centre = replace(mapped, altitude=height).above_ground(rng.uniform(*area))
+            centre = replace(map_survey, altitude=height).above_ground(rng.uniform(*area))
             pose = _draw_pose(centre, options.tilt_deg, rng)
-            if not _looks_inside(test_camera, pose, height, area):
+            if not _is_view_inside(test_camera, pose, height, area):
                 continue
             views = (
                 each.surface.render(test_camera, pose, MAX_DEPTH_ALTITUDES * height)
-                for each in (mapped, other)
+                for each in (map_survey, query_survey)
             )
             if min(view.coverage for view in views) < _MIN_FILLED:
                 continue
-            rgb = other.surface.render(camera, pose, MAX_DEPTH_ALTITUDES * height).rgb
-            yield Photograph(expose(rgb, options, rng), Pose.from_matrix(pose), height)
+            rgb = query_survey.surface.render(camera, pose, MAX_DEPTH_ALTITUDES * height).rgb
+            yield Photograph(add_camera_effects(rgb, options, rng), Pose.from_matrix(pose), height)
             drawn += 1
             advance(drawn)
             if drawn == options.queries:
@@ -117,7 +117,7 @@ def take_photographs(
     )
 
 
-def _looks_inside(camera: Camera, pose: Array, height: float, area: Area) -> bool:
+def _is_view_inside(camera: Camera, pose: Array, height: float, area: Area) -> bool:
     """Return whether level ground in the corners of a view is inside an area, or close to it."""
     across, down = (0.0, camera.width), (0.0, camera.height)
     corners = torch.tensor([(x, y) for x in across for y in down], dtype=torch.float64)
@@ -133,12 +133,14 @@ def _draw_pose(centre: Array, tilt_deg: float, rng: np.random.Generator) -> Arra
     azimuth, roll = rng.uniform(0, 360), rng.uniform(0, math.tau)
     pose = view_pose(centre, azimuth, rng.uniform(0, tilt_deg))
     cosine, sine = math.cos(roll), math.sin(roll)
-    about_axis = np.eye(4)
-    about_axis[:2, :2] = [[cosine, -sine], [sine, cosine]]
-    return np.asarray(about_axis @ pose)
+    axis_rotation = np.eye(4)
+    axis_rotation[:2, :2] = [[cosine, -sine], [sine, cosine]]
+    return np.asarray(axis_rotation @ pose)
 
 
-def expose(rgb: Picture, options: PairQueryOptions, rng: np.random.Generator) -> Picture:
+def add_camera_effects(
+    rgb: Picture, options: PairQueryOptions, rng: np.random.Generator
+) -> Picture:
     """Return a render (H, W, 3) with the blur, vignetting and noise of a drone's picture."""
     picture = rgb.astype(np.float32)
     if options.blur_px > 0:

@@ -93,8 +93,8 @@ def place_picture(picture: Path, homography: Array, mapped: Raster, out: Path) -
     # The matrix converts pixels of the written file to pixels of ``mapped``; in both, the centre of
     # the first pixel is (0, 0).
     first = low + 0.5 * scale - 0.5
-    to_mapped = np.array([[scale, 0, first[0]], [0, scale, first[1]], [0, 0, 1]])
-    warp, size = np.linalg.inv(to_mapped) @ homography, (columns, rows)
+    mapped_from_out = np.array([[scale, 0, first[0]], [0, scale, first[1]], [0, 0, 1]])
+    warp, size = np.linalg.inv(mapped_from_out) @ homography, (columns, rows)
     colours = cv2.warpPerspective(rgb, warp, size, flags=cv2.INTER_CUBIC).astype(np.float32)
     whole = np.ones((height, width), np.uint8)
     inside = cv2.warpPerspective(whole, warp, size, flags=cv2.INTER_NEAREST)
@@ -112,13 +112,13 @@ def _scale_at(homography: Array, point: Array) -> float:
     return math.sqrt(abs(float(np.linalg.det(jacobian))))
 
 
-def write_level_ground(mapped: Raster, out: Path) -> None:
-    """Write level ground at height 0 below an orthophoto and around it.
+def write_level_ground(orthophoto: Raster, out: Path) -> None:
+    """Write a surface model of height 0 below an orthophoto and a margin around it.
 
     Raises:
         InputError: the file cannot be written.
     """
-    grid = mapped.grid
+    grid = orthophoto.grid
     pixel = (_LEVEL_PIXEL_RATIO * grid.pixel[0], _LEVEL_PIXEL_RATIO * grid.pixel[1])
     wide, high = (
         math.ceil((1 + 2 * _LEVEL_MARGIN) * n / _LEVEL_PIXEL_RATIO)
@@ -131,16 +131,16 @@ def write_level_ground(mapped: Raster, out: Path) -> None:
         write(Patch(level, np.zeros((1, high, wide), np.float32)))
 
 
-def move(orthophoto: Raster, metres: Array, origin: Geodetic) -> Raster:
+def move(orthophoto: Raster, shift_m: Array, origin: Geodetic) -> Raster:
     """Return an orthophoto moved on the ground.
 
     Args:
         orthophoto: orthophoto in any reference system.
-        metres: (2,) to the east and north.
+        shift_m: (2,) metres to the east and north.
         origin: origin of the world, near the orthophoto.
     """
     reach = np.full(3, 100.0)  # metres around the origin
     local = LocalProjection.fit(orthophoto.grid.projection, origin, -reach, reach)
-    east, north = (local.linear[:2, :2] @ (metres / local.scale)).tolist()
+    east, north = (local.linear[:2, :2] @ (shift_m / local.scale)).tolist()
     grid = orthophoto.grid
     return replace(orthophoto, grid=replace(grid, left=grid.left + east, top=grid.top + north))

@@ -25,7 +25,7 @@ _SURROUND_RATIO: Final = 2.5
 _MIN_CONTRAST: Final = 5.0
 # Maximum number of blobs per photograph, the strongest, which bounds the run time.
 _MAX_COUNT: Final = 12000
-# Width (px) of the border without blobs, whose surroundings would be cut.
+# Blobs closer to the border (px) are dropped, because the picture cuts their surroundings.
 _BORDER_PX: Final = 8
 # Blur (px) before the colour of a blob is read.
 _COLOUR_SIGMA_PX: Final = 0.7
@@ -152,20 +152,20 @@ def _describe(objects: Objects, index: Tensor) -> tuple[NDArray[np.float64], NDA
 def _pixel(
     xy: NDArray[np.float64], shape: tuple[int, ...]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return row and column of pixels (N, 2) in a picture of a shape."""
+    """Return row and column of positions (N, 2), limited to a picture of this shape."""
     column, row = np.floor(xy).astype(np.int64).T
     return row.clip(0, shape[0] - 1), column.clip(0, shape[1] - 1)
 
 
 def _peaks(strength: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Find local maxima (N, 2) of a picture (H, W), each at the top of the parabola around it."""
+    """Find local maxima (N, 2) of a picture (H, W), refined by a parabola along each axis."""
     top = (strength >= cv2.dilate(strength, np.ones((3, 3)))) & (strength > _MIN_CONTRAST)
     top[[0, -1]] = top[:, [0, -1]] = False
     row, column = np.nonzero(top)
-    at = strength[row, column]
+    peak = strength[row, column]
 
     def offset(before: NDArray[np.float32], after: NDArray[np.float32]) -> NDArray[np.float32]:
-        curve = np.minimum(before - 2 * at + after, -1e-6)
+        curve = np.minimum(before - 2 * peak + after, -1e-6)
         return np.asarray(np.clip(0.5 * (before - after) / curve, -0.5, 0.5))
 
     x = column + 0.5 + offset(strength[row, column - 1], strength[row, column + 1])

@@ -93,18 +93,20 @@ def compute_costs(
         return np.asarray(cv2.GaussianBlur(lab, (0, 0), _BLUR_PX), np.float32)
 
     largest = max((image.camera.width * image.camera.height for image in images), default=0)
-    photograph = LruCache(read, _CACHE_PHOTOGRAPHS * 3 * np.dtype(np.float32).itemsize * largest)
+    read_photograph = LruCache(
+        read, _CACHE_PHOTOGRAPHS * 3 * np.dtype(np.float32).itemsize * largest
+    )
     above = tracks.xyz[:, 2] - ground.height_at(tracks.xyz[:, :2])
     nearest, row = _find_nearest_views(images, tracks)
     result = np.full((len(tracks.xyz), len(HEIGHTS)), np.nan)
     with progress_bar("compared with the ground", len(images)) as advance:
         for view in range(len(images)):
-            at = np.flatnonzero(nearest == view)
-            if len(at):
-                xyz, xy = tracks.xyz[at], blobs[view].xy[row[at]]
-                z = xyz[:, 2, None] + (HEIGHTS - above[at][:, None])
-                windows = _cut_windows(images[view], photograph(view), xy, z)
-                result[at] = _mean_difference(images, view, photograph, windows, xyz)
+            rows = np.flatnonzero(nearest == view)
+            if len(rows):
+                xyz, xy = tracks.xyz[rows], blobs[view].xy[row[rows]]
+                z = xyz[:, 2, None] + (HEIGHTS - above[rows][:, None])
+                windows = _cut_windows(images[view], read_photograph(view), xy, z)
+                result[rows] = _mean_difference(images, view, read_photograph, windows, xyz)
             advance(view + 1)
     return result
 
@@ -117,29 +119,29 @@ def _cut_windows(
 ) -> _Windows:
     """Cut windows around pixels (N, 2) of a photograph, and cast their rays to heights (N, H)."""
     radius = _RADIUS_PX
-    unit = np.arange(-radius, radius + 1)
-    window = np.array([(x, y) for x in unit for y in unit if x * x + y * y <= radius**2 + 1])
+    offsets = np.arange(-radius, radius + 1)
+    window = np.array([(x, y) for x in offsets for y in offsets if x * x + y * y <= radius**2 + 1])
     pixels = xy[:, None] + window
     colours = _sample(picture, pixels)
-    middle = colours[:, len(window) // 2, None]
-    weights = np.exp(-np.abs(colours - middle).sum(2) / _COLOUR_SCALE)
+    centre_colours = colours[:, len(window) // 2, None]
+    weights = np.exp(-np.abs(colours - centre_colours).sum(2) / _COLOUR_SCALE)
     weights *= np.exp(-(window**2).sum(1) / _DISTANCE_SCALE)
     weights /= weights.sum(1, keepdims=True)
     rays, _ = image.camera.unproject(torch.from_numpy(pixels.reshape(-1, 2)))
-    toward = (rays.numpy() @ image.cam_from_world[:3, :3]).reshape(*pixels.shape[:2], 3)
-    along = (z[:, :, None] - image.centre[2]) / toward[:, None, :, 2]
-    return _Windows(colours, weights, image.centre + toward[:, None] * along[..., None])
+    directions = (rays.numpy() @ image.cam_from_world[:3, :3]).reshape(*pixels.shape[:2], 3)
+    scales = (z[:, :, None] - image.centre[2]) / directions[:, None, :, 2]
+    return _Windows(colours, weights, image.centre + directions[:, None] * scales[..., None])
 
 
 def _mean_difference(
     images: Sequence[MapImage],
     view: int,
-    photograph: LruCache[int, NDArray[np.float32]],
+    read_photograph: LruCache[int, NDArray[np.float32]],
     windows: _Windows,
     xyz: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Return the mean difference (N, H) over the other photographs that show each point."""
-    total, views = np.zeros((len(xyz), len(HEIGHTS))), np.zeros((len(xyz), 1))
+    total, view_count = np.zeros((len(xyz), len(HEIGHTS))), np.zeros((len(xyz), 1))
     for other, image in enumerate(images):
         if other == view:
             continue
@@ -148,12 +150,12 @@ def _mean_difference(
             continue
         points = windows.xyz[in_view]
         xy, _ = project(image, points.reshape(-1, 3))
-        colours = _sample(photograph(other), xy.reshape(*points.shape[:3], 2))
+        colours = _sample(read_photograph(other), xy.reshape(*points.shape[:3], 2))
         difference = np.abs(colours - windows.colours[in_view][:, None]).sum(3)
         difference = difference.clip(max=_MAX_DIFFERENCE)
         total[in_view] += (difference * windows.weights[in_view][:, None]).sum(2)
-        views[in_view] += 1
-    return np.where(views > 0, total / views.clip(1), np.nan)
+        view_count[in_view] += 1
+    return np.where(view_count > 0, total / view_count.clip(1), np.nan)
 
 
 def _find_nearest_views(

@@ -96,17 +96,18 @@ def _rigidity_error(frames: Frames) -> float:
 
 def _check_rigid(session: str, frames: Frames) -> Check:
     name = f"{session}: poses are rigid and look at the ground"
-    departure = _rigidity_error(frames)
-    if departure >= _MAX_RIGIDITY_ERROR:
+    rigidity_error = _rigidity_error(frames)
+    if rigidity_error >= _MAX_RIGIDITY_ERROR:
         detail = (
-            f"a rotation is off by {departure:.2g}: scaled, skewed, mirrored, or 4x4 transposed"
+            f"a rotation is off by {rigidity_error:.2g}: scaled, skewed, mirrored, or 4x4 "
+            "transposed"
         )
-        return Check(name, False, detail, {"departure": departure})
+        return Check(name, False, detail, {"departure": rigidity_error})
     downward = float(-frames.cam_from_world[:, 2, 2].mean())
     if downward < 0:
         detail = "cameras look at the sky: the world's Z points down, or poses are world_from_cam"
         return Check(name, False, detail, {"downward": downward})
-    return Check(name, True, f"{len(frames)} poses", {"departure": departure})
+    return Check(name, True, f"{len(frames)} poses", {"departure": rigidity_error})
 
 
 def _check_priors(session: str, frames: Frames) -> Check:

@@ -101,7 +101,7 @@ def match_photographs(
             image_id=ids[photograph.name],
         )
         model.add_image_with_trivial_frame(native)
-    require_database(database, model)
+    ensure_database(database, model)
     fill_database(database, ids, job, GUESSED_EPIPOLAR_PX, on_progress)
 
 
@@ -120,7 +120,7 @@ def match_with_poses(
     images = job.images
     check_photographs(job.root, {image.name: image.camera for image in images})
     empty, ids = make_model(images, {image.name: np.zeros((0, 2)) for image in images})
-    require_database(database, empty)
+    ensure_database(database, empty)
     fill_database(database, ids, job, EPIPOLAR_PX, on_progress)
     features = read_features(database, job.root)
     return make_model(images, {name: item.xy for name, item in features.items()})[0], features
@@ -151,7 +151,7 @@ def fill_database(
     with pycolmap.Database.open(database) as db:
         missing = [name for name in ids if not db.exists_keypoints(ids[name])]
         done = len(ids) - len(missing)
-        with closing(_find_features(job, missing, database.parent)) as chunks:
+        with closing(_extract_features(job, missing, database.parent)) as chunks:
             for features in chunks:
                 require_disk_space(database, MIN_FREE_BYTES + 2 * _count_bytes(features))
                 _write_features(db, ids, features)
@@ -242,7 +242,7 @@ def write_matches(
                 db.write_two_view_geometry(ids[a], ids[b], geometry)
 
 
-def _find_features(
+def _extract_features(
     job: MatchingJob, names: Sequence[str], parent: Path
 ) -> Generator[dict[str, Features], None, None]:
     """Yield the SIFT features of many images, a chunk at a time.
@@ -252,8 +252,8 @@ def _find_features(
     size = IMAGES_PER_CALL if job.cluster is None else _IMAGES_PER_TASK
     chunks = [names[start : start + size] for start in range(0, len(names), size)]
     threads, temporary = (-1, parent) if job.cluster is None else (1, None)
-    find = partial(_extract_chunk, job.root, job.sift, threads, temporary)
-    with worker_pool(job.cluster if chunks else None, find) as workers:
+    extract = partial(_extract_chunk, job.root, job.sift, threads, temporary)
+    with worker_pool(job.cluster if chunks else None, extract) as workers:
         yield from workers.map(chunks)
 
 
@@ -263,7 +263,7 @@ def _extract_chunk(
     yield extract_sift(root, names, options, threads=threads, parent=parent)
 
 
-def require_database(database: Path, model: pycolmap.Reconstruction) -> None:
+def ensure_database(database: Path, model: pycolmap.Reconstruction) -> None:
     """Write a database of the model's images unless a sound one exists."""
     if not is_sound(database):
         for journal in ("-journal", "-wal", "-shm"):

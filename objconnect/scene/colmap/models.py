@@ -147,7 +147,8 @@ class NewPoint:
     Attributes:
         xyz: (3,) world metres.
         rgb: (3,) uint8.
-        xy: observations, (2,) COLMAP pixels by name of the image; no two points share one.
+        xy: observations, (2,) COLMAP pixels by name of the image; no two points share an
+            observation.
     """
 
     xyz: NDArray[np.float64]

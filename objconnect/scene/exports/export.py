@@ -53,7 +53,7 @@ def export(
     chosen = {name: scene.frames(name) for name in dict.fromkeys(sessions or scene.sessions)}
     require_empty(out)
     check_output_folder(out, [path])
-    with atomic_folder(out) as folder, FORMATS.blame(file_format, "cannot be written"):
+    with atomic_folder(out) as folder, FORMATS.convert_errors(file_format, "cannot be written"):
         partial(write, **options)(scene, chosen, folder, out)
     frames = sum(len(frames) for frames in chosen.values())
     return {"out": str(out), "format": file_format, "frames": frames, "sessions": list(chosen)}

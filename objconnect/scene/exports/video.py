@@ -75,23 +75,23 @@ def _rate(session: str, frames: Frames) -> float:
     steps = np.diff(frames.time)
     if not np.isfinite(steps).all():
         raise InputError(
-            f"session {session} has photographs without a time: name a session that states the "
-            "time of each"
+            f"session {session} has photographs without a time: choose a session whose "
+            "photographs all have one"
         )
     if (steps <= 0).any():
         raise InputError(
-            f"the photographs of session {session} are not in the order of their times: name a "
+            f"the photographs of session {session} are not in the order of their times: choose a "
             "session in this order"
         )
     step = float(np.median(steps))
     if np.abs(steps - step).max() > _MAX_DEVIATION * step:
         raise InputError(
-            f"the photographs of session {session} were not taken at one rate: name a session "
+            f"the photographs of session {session} were not taken at one rate: choose a session "
             f"whose intervals differ from their median by at most {_MAX_DEVIATION:.0%}"
         )
     if not _MIN_INTERVAL_S <= step <= _MAX_INTERVAL_S:
         raise InputError(
-            f"the photographs of session {session} were taken {step:g} s apart: name a session "
+            f"the photographs of session {session} were taken {step:g} s apart: choose a session "
             f"with {_MIN_INTERVAL_S:.3f} to {_MAX_INTERVAL_S} s between photographs"
         )
     return float((len(frames) - 1) / (frames.time[-1] - frames.time[0]))

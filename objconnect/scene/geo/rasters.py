@@ -163,7 +163,7 @@ class Raster:
     def _read(self, rows: range, columns: range, factor: int) -> NDArray[np.float32]:
         """Read means of ``factor`` x ``factor`` pixels, (bands, H, W); NaN for no data.
 
-        The ranges are multiples of the factor and may reach beyond the raster.
+        The lengths of the ranges are multiples of the factor; ranges may reach beyond the raster.
         """
         shape = (self.layout.channels, len(rows) // factor, len(columns) // factor)
         values = np.full(shape, np.nan, np.float32)
@@ -244,7 +244,7 @@ def _find_no_data(raster: Raster, declares_no_data: bool) -> Raster:
     """Return a surface model with the no-data heights that its file does not declare.
 
     Raises:
-        InputError: the file is damaged, or no data cannot be distinguished from a plain.
+        InputError: the file is damaged, or no data cannot be distinguished from flat ground.
     """
 
     def strips() -> Iterator[NDArray[np.float32]]:

@@ -1,8 +1,8 @@
-"""Conversion of COLMAP's camera models to equal models of this project.
+"""Conversion of COLMAP's camera models to equivalent models of this project.
 
 A fisheye with fewer coefficients is an OPENCV_FISHEYE with zeros. A model with more coefficients
-equals a smaller model if the additional ones are zero: FULL_OPENCV then becomes OPENCV, and else
-stays as it is. A model that equals no supported one is an error: no camera is approximated.
+is equivalent to a smaller model if the additional ones are zero: FULL_OPENCV is converted to OPENCV
+in this case only. A model without an equivalent is an error: no camera is approximated.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _FISHEYE: Final = ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")
 _PINHOLE: Final = ("fx", "fy", "cx", "cy")
 
 # Our model, and COLMAP's parameters under our names. Parameters that our model lacks must be zero.
-_EQUAL: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
+_EQUIVALENT: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     "SIMPLE_FISHEYE": ("OPENCV_FISHEYE", ("f", "cx", "cy")),
     "FISHEYE": ("OPENCV_FISHEYE", _PINHOLE),
     "SIMPLE_RADIAL_FISHEYE": ("OPENCV_FISHEYE", ("f", "cx", "cy", "k1")),
@@ -64,13 +64,13 @@ MODEL_IDS: Final[dict[int, str]] = {
 # Numbers of parameters. FULL_OPENCV begins with the parameters of OPENCV.
 _FULL_OPENCV_COUNT, _OPENCV_COUNT = 12, 8
 
-CONVERTIBLE_MODELS: Final = tuple(_EQUAL)
+CONVERTIBLE_MODELS: Final = tuple(_EQUIVALENT)
 """Models of COLMAP that are converted to another model."""
 
 
 def parameter_count(model: str) -> int | None:
     """Return the number of parameters of a convertible model; None for other models."""
-    return len(_EQUAL[model][1]) if model in _EQUAL else None
+    return len(_EQUIVALENT[model][1]) if model in _EQUIVALENT else None
 
 
 def convert_model(model: str, params: Sequence[float]) -> tuple[str, tuple[float, ...]]:
@@ -82,10 +82,10 @@ def convert_model(model: str, params: Sequence[float]) -> tuple[str, tuple[float
         params: parameters in COLMAP's order.
 
     Returns:
-        Name and parameters of the equal model.
+        Name and parameters of the equivalent model.
 
     Raises:
-        InputError: a coefficient that the equal model lacks is not zero, or the number of
+        InputError: a coefficient that the equivalent model lacks is not zero, or the number of
             parameters is wrong.
 
     Examples:
@@ -98,19 +98,19 @@ def convert_model(model: str, params: Sequence[float]) -> tuple[str, tuple[float
         and not any(params[_OPENCV_COUNT:])
     ):
         return "OPENCV", tuple(params[:_OPENCV_COUNT])
-    if model not in _EQUAL:
+    if model not in _EQUIVALENT:
         return model, tuple(params)
-    ours, names = _EQUAL[model]
+    ours, names = _EQUIVALENT[model]
     if len(params) != len(names):
         raise InputError(f"camera model {model} takes {len(names)} parameters, got {len(params)}")
     value = dict(zip(names, params, strict=True))
     if "f" in value and "f" not in _OUR_PARAMETERS[ours]:
         value["fx"] = value["fy"] = value.pop("f")
-    lost = [name for name in value if name not in _OUR_PARAMETERS[ours] and value[name] != 0]
-    if lost:
+    nonzero = [name for name in value if name not in _OUR_PARAMETERS[ours] and value[name] != 0]
+    if nonzero:
         raise InputError(
-            f"camera model {model} is supported only where {', '.join(lost)} "
-            f"{'is' if len(lost) == 1 else 'are'} zero: undistort the photographs, or calibrate "
+            f"camera model {model} is supported only where {', '.join(nonzero)} "
+            f"{'is' if len(nonzero) == 1 else 'are'} zero: undistort the photographs, or calibrate "
             f"them as {ours}"
         )
     return ours, tuple(value.get(name, 0.0) for name in _OUR_PARAMETERS[ours])

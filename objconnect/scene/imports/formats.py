@@ -54,7 +54,7 @@ def read_foreign(path: Path, frame: CoordinateFrame | None = None) -> ForeignPos
     descriptions = []
     for name in FORMATS:
         form = FORMATS.load(name)
-        with FORMATS.blame(name, f"cannot read {path}"):
+        with FORMATS.convert_errors(name, f"cannot read {path}"):
             if form.matches(path):
                 if frame is None:
                     return form.read(path)

@@ -29,7 +29,7 @@ LARGEST_SIDE: Final = 1_000_000
 
 # Rays of the fit: directions around the axis, and steps from the axis to the corner.
 _DIRECTIONS, _STEPS = 48, 60
-# Iterations of Lawson's method, which moves least squares towards the least maximum error.
+# Iterations of Lawson's method, which reweights least squares to minimize the maximum error.
 _ROUNDS = 20
 
 
@@ -78,7 +78,7 @@ class BrownLens:
     skew: float = 0.0
 
     def camera(self) -> Camera:
-        """Return the equal OPENCV or FULL_OPENCV camera, or the nearest one.
+        """Return the equivalent OPENCV or FULL_OPENCV camera, or the nearest one.
 
         Raises:
             InputError: the parameters are invalid, or no camera is within ``MAX_FIT_ERROR``.
@@ -129,7 +129,7 @@ class BrownLens:
         r2, ratio = x * x + y * y, self.focal[1] / self.focal[0]
         if len(x) < _STEPS:
             raise InputError(
-                "the lens folds within the picture: its distortion coefficients are wrong"
+                "the distortion folds back within the picture: its coefficients are wrong"
             )
         along_x = np.stack([x, x * r2, x * r2**2, 2 * x * y, r2 + 2 * x * x, x * r2**3], -1)
         along_y = np.stack([y, y * r2, y * r2**2, r2 + 2 * y * y, 2 * x * y, y * r2**3], -1)

@@ -65,7 +65,7 @@ def parse_camera(path: Path, sensor: ET.Element) -> Camera | None:
     where = f"sensor {label!r}"
     try:
         size = _size(sensor, calibration)
-        return _lens(_kind(sensor, calibration), size, _parameters(path, calibration, where))
+        return _make_camera(_kind(sensor, calibration), size, _parameters(path, calibration, where))
     except InputError as error:
         message = str(error)
         raise InputError(message if where in message else f"{path}: {where}: {message}") from None
@@ -122,7 +122,7 @@ def _kind(sensor: ET.Element, calibration: ET.Element) -> str:
     return stated[0] if stated else "frame"
 
 
-def _lens(kind: str, size: tuple[int, int], params: dict[str, float]) -> Camera:
+def _make_camera(kind: str, size: tuple[int, int], params: dict[str, float]) -> Camera:
     """Return the camera of a calibration.
 
     Raises:

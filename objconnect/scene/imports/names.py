@@ -8,15 +8,15 @@ from typing import Final
 
 from objconnect.scene.errors import InputError
 
-_Spelling = Callable[[str], str]
+_Normalization = Callable[[str], str]
 
 
 def _fold_case(name: str) -> str:
     return name.replace("\\", "/").casefold()
 
 
-# From strict to loose: path; file name; both ignoring case and with "\" as "/"; stem.
-_SPELLINGS: Final[tuple[_Spelling, ...]] = (
+# Compared forms, strict to loose: path; file name; both ignoring case and with "\" as "/"; stem.
+_NORMALIZATIONS: Final[tuple[_Normalization, ...]] = (
     lambda name: name,
     lambda name: PurePosixPath(name).name,
     _fold_case,
@@ -26,7 +26,7 @@ _SPELLINGS: Final[tuple[_Spelling, ...]] = (
 
 
 def match_files(files: Sequence[str], names: Sequence[str], where: Path) -> dict[str, str]:
-    """Return the name that belongs to each photograph; photographs without one are omitted.
+    """Return each photograph's name in the file; photographs without one are omitted.
 
     Paths are compared first, then file names, then both ignoring case, then file names without
     suffix, which Metashape's labels lack. A name that matches strictly takes no part in looser
@@ -47,26 +47,26 @@ def match_files(files: Sequence[str], names: Sequence[str], where: Path) -> dict
     """
     found: dict[str, str] = {}
     unmatched = list(names)
-    for spell in _SPELLINGS:
-        names_by_spelling: dict[str, list[str]] = {}
+    for normalize in _NORMALIZATIONS:
+        names_by_form: dict[str, list[str]] = {}
         for name in unmatched:
-            names_by_spelling.setdefault(spell(name), []).append(name)
-        owners: dict[str, str] = {}
+            names_by_form.setdefault(normalize(name), []).append(name)
+        file_by_name: dict[str, str] = {}
         for file in files:
-            candidates = names_by_spelling.get(spell(file), [])
+            candidates = names_by_form.get(normalize(file), [])
             if file in found or len(candidates) != 1:
                 continue
-            owner = owners.setdefault(candidates[0], file)
-            if owner != file:
-                raise _ambiguity_error(where, candidates[0], owner, file)
+            first = file_by_name.setdefault(candidates[0], file)
+            if first != file:
+                raise _ambiguity_error(where, candidates[0], first, file)
             found[file] = candidates[0]
-        unmatched = [name for name in unmatched if name not in owners]
+        unmatched = [name for name in unmatched if name not in file_by_name]
     # A matched name without a folder may also mean a photograph of that name in another folder.
-    file_of_name = {_fold_case(name): file for file, name in found.items()}
+    matched_files = {_fold_case(name): file for file, name in found.items()}
     for file in files:
-        owner = file_of_name.get(PurePosixPath(_fold_case(file)).name, file)
-        if file not in found and owner != file:
-            raise _ambiguity_error(where, found[owner], owner, file)
+        matched = matched_files.get(PurePosixPath(_fold_case(file)).name, file)
+        if file not in found and matched != file:
+            raise _ambiguity_error(where, found[matched], matched, file)
     return {file: found[file] for file in files if file in found}
 
 

@@ -55,7 +55,7 @@ _MAX_ORIGIN_DISTANCE_M: Final = 100_000.0
 # radians, share of the extent) with a scale this near to one.
 _SAME_M, _SAME_RAD, _SAME_SHARE, _SAME_SCALE = 0.02, 2e-3, 1e-3, 0.01
 # Axes closer than this (radians) are treated as equal: over a flight they differ by centimetres.
-_SMALL_TURN: Final = 2e-4
+_SMALL_ANGLE: Final = 2e-4
 
 
 @dataclass(frozen=True)
@@ -145,8 +145,8 @@ def _take_from_sibling(
         return shots
     if not _is_transformed(shots.world_from_cam, topocentric_poses):
         raise InputError(
-            f"{path} and {TOPOCENTRIC} beside it hold two reconstructions: give {TOPOCENTRIC}, or "
-            "move one of the files to another folder"
+            f"{path} and {TOPOCENTRIC} beside it hold different reconstructions: give "
+            f"{TOPOCENTRIC}, or move one of the files to another folder"
         )
     _require_agreement(path, {f"{TOPOCENTRIC} beside it": "projected", _OPTION: stated})
     log.warning("%s is in a projected system: poses are those of %s", path, TOPOCENTRIC)
@@ -154,7 +154,7 @@ def _take_from_sibling(
 
 
 def _is_transformed(projected: Array, enu_poses: Array) -> bool:
-    """Return whether the two sets of poses differ by a turn about the vertical, shift and scale.
+    """Return whether two sets of poses differ by shift, scale and rotation about the vertical.
 
     The scale must be near one.
 
@@ -206,12 +206,12 @@ def _undo_system(
 ) -> Shots:
     """Return the shots with ODM's transform undone, if the file was transformed."""
     linear, shift = _export_transform(path, shots.origin, system, offset)
-    turn = math.atan2(linear[1, 0], linear[0, 0])
+    angle = math.atan2(linear[1, 0], linear[0, 0])
     topocentric_shots = _undo_transform(shots, linear, shift)
     difference = float(np.abs(topocentric_shots.world_from_cam - shots.world_from_cam).max())
-    if difference < _SAME_M and abs(turn) < _SMALL_TURN:
+    if difference < _SAME_M and abs(angle) < _SMALL_ANGLE:
         return topocentric_shots
-    if _find_frame(path, shots, turn, stated, system.projection.name).value == "topocentric":
+    if _find_frame(path, shots, angle, stated, system.projection.name).value == "topocentric":
         return _require_near_origin(path, shots)
     log.warning("%s is in %s: its poses are transformed back", path, system.projection.name)
     return _require_near_origin(path, topocentric_shots)
@@ -258,26 +258,26 @@ def _check_without_coords(path: Path, shots: Shots, stated: CoordinateFrame | No
 
 
 def _find_frame(
-    path: Path, shots: Shots, turn: float, stated: CoordinateFrame | None, grid: str
+    path: Path, shots: Shots, angle: float, stated: CoordinateFrame | None, grid: str
 ) -> Reading[CoordinateFrame]:
     """Return the frame of a file on which all sources agree.
 
     Args:
         path: file of the shots.
         shots: shots in the frame of the file.
-        turn: meridian convergence of the projected system, radians, as ``convergence`` returns it.
+        angle: meridian convergence of the projected system, radians, as ``convergence`` returns it.
         stated: frame that the user states.
         grid: name of the projected system, for messages.
 
     Raises:
         InputError: no source states the frame, or two contradict each other.
     """
-    axes = infer_axes(shots.centres[:, :2], shots.gps_positions[:, :2], turn)
+    axes = infer_axes(shots.centres[:, :2], shots.gps_positions[:, :2], angle)
     why, gps_frame = axes.why, None
-    if axes.value is not None and abs(turn) > _SMALL_TURN:
+    if axes.value is not None and abs(angle) > _SMALL_ANGLE:
         gps_frame = _FRAME_OF_AXES[axes.value]
     elif axes.value is not None:
-        degrees = math.degrees(_SMALL_TURN)
+        degrees = math.degrees(_SMALL_ANGLE)
         why = f"{axes.source} cannot distinguish axes within {degrees:.2g} degrees"
     frame = _require_agreement(
         path,
@@ -285,7 +285,7 @@ def _find_frame(
             "its name": _FRAME_OF_NAME.get(path.name),
             f"gps_position ({why})" if why else "gps_position": gps_frame,
             "its field frame": shots.frame,
-            "OpenSfM's project around it": "topocentric"
+            "the OpenSfM project that holds it": "topocentric"
             if _is_plain_opensfm(path.parent)
             else None,
             _OPTION: stated,

@@ -52,7 +52,7 @@ def refuse_unsupported(path: Path) -> None:
 def _describe_text(head: str) -> tuple[str, str] | None:
     for pattern, what, remedy in _TEXTS:
         if re.match(pattern, head, re.IGNORECASE):
-            return what, f"{remedy} and give that"
+            return what, f"{remedy} and give the exported file"
     return None
 
 

@@ -21,7 +21,8 @@ _LARGEST_DIFFERENCE_M: Final = 150.0
 SEA_LEVEL_DOUBT: Final = "says sea level, which may be 100 m from the ellipsoid"
 """End of the warning about an altitude that refers to sea level."""
 
-# Values of GPSAltitudeRef: below its reference, above or below the sea, and all of them.
+# Values of GPSAltitudeRef: those that mean below the reference, those that mean sea level as the
+# reference, and all.
 _BELOW: Final = (1, 3)
 _SEA_LEVEL: Final = (2, 3)
 _REFERENCES: Final = (0, 1, 2, 3)
@@ -31,8 +32,8 @@ def read_altitude(gps: Mapping[str, object], xmp: Mapping[str, str]) -> Reading[
     """Return the altitude of a photograph, metres.
 
     EXIF takes precedence over XMP unless it lacks ``GPSAltitudeRef``. The altitude is unknown if
-    the two differ by more than sea level and ellipsoid can. A height above the take-off is not
-    used.
+    the two differ by more than sea level and ellipsoid can differ. A height above the take-off is
+    not used.
 
     Args:
         gps: fields of EXIF's GPS directory by name.

@@ -40,7 +40,8 @@ class PairedTrack:
         seconds: time of each pair.
         pairs: degrees, in the order of times.
         home_pairs: take-off positions, in the same unknown order as each of ``pairs``.
-        home_lat_lons: take-off positions whose letters state the order; latitude and longitude.
+        home_lat_lons: take-off positions (latitude, longitude) whose order the letters N, S, E or
+            W state.
         distances: index of a pair and its stated distance from take-off, metres.
         speeds: stated speeds over ground, m/s; empty unless every pair has one.
     """
@@ -141,8 +142,8 @@ def _select_by_distance(track: PairedTrack, orders: Sequence[Order]) -> list[Ord
             for row, stated in track.distances
         )
     fitting = [order for order in orders if misfits[order] <= tolerance]
-    others = [order for order in orders if misfits[order] > 2 * tolerance]
-    return fitting if len(fitting) + len(others) == len(orders) else []
+    excluded = [order for order in orders if misfits[order] > 2 * tolerance]
+    return fitting if len(fitting) + len(excluded) == len(orders) else []
 
 
 def _select_by_speed(track: PairedTrack, orders: Sequence[Order]) -> list[Order]:
@@ -156,7 +157,7 @@ def _select_by_speed(track: PairedTrack, orders: Sequence[Order]) -> list[Order]
     if not steps:
         return []
 
-    def is_slow(order: Order) -> bool:
+    def is_plausible(order: Order) -> bool:
         too_fast = 0
         for first, second in steps:
             ends = (to_lat_lon(track.pairs[row], order) for row in (first, second))
@@ -164,7 +165,7 @@ def _select_by_speed(track: PairedTrack, orders: Sequence[Order]) -> list[Order]
             too_fast += ground_distance(*ends) > allowed
         return 2 * too_fast < len(steps)
 
-    return [order for order in orders if is_slow(order)]
+    return [order for order in orders if is_plausible(order)]
 
 
 def drop_jumps(seconds: Sequence[float], places: Sequence[Pair | None]) -> list[Pair | None]:

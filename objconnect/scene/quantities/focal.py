@@ -19,8 +19,8 @@ from objconnect.scene.quantities.numbers import to_number
 from objconnect.scene.quantities.reading import Reading, known, unknown
 
 SAME_ASPECT: Final = 0.01
-"""Largest relative difference of the aspect ratios of one picture in two sizes, which are whole
-pixels."""
+"""Largest relative difference of two aspect ratios that count as equal. Rounding to whole pixels
+changes the aspect ratio of a resized picture."""
 
 # Largest relative difference of two agreeing sources. Equivalents are rounded to millimetres.
 _SOURCE_TOLERANCE: Final = 0.15
@@ -32,7 +32,7 @@ _MAX_SENSOR_ASPECT: Final = 2.4
 _MAX_PIXEL_DIFFERENCE: Final = 0.05
 # Relative focal lengths outside this range are damaged values; it is 1 mm to 10 m for 35 mm film.
 _FOCAL_RANGE: Final = (1 / 36, 10_000 / 36)
-# The size of 35 mm film (mm).
+# Longer side and diagonal of 35 mm film (mm).
 FILM_LENGTH: Final = 36.0
 _FILM_DIAGONAL: Final = math.hypot(36, 24)
 # Images with a larger aspect ratio, such as 16:9, are taken as crops of 4:3 sensors.
@@ -141,14 +141,14 @@ def is_rotated(detail: Mapping[str, object], size: Size, orientation: object) ->
     Args:
         detail: fields of EXIF by name, with the size of the picture as it was taken.
         size: width and height of the picture now, pixels.
-        orientation: the field ``Orientation``. If it exchanges the sides, EXIF's size may be that
-            of the displayed picture, so it shows no rotation of the pixels.
+        orientation: the field ``Orientation``. If it swaps width and height, EXIF's size may be
+            that of the displayed picture, and the result is False.
     """
     original_size = read_exif_size(detail)
-    upright = to_number(orientation) not in _SIDEWAYS
+    sides_kept = to_number(orientation) not in _SIDEWAYS
     return (
         original_size is not None
-        and upright
+        and sides_kept
         and (original_size[0] < original_size[1]) != (size[0] < size[1])
     )
 
@@ -197,7 +197,7 @@ def _sources(detail: Mapping[str, object], size: Size, lens: Lens | None) -> Ite
 def _focal_plane(detail: Mapping[str, object], size: Size) -> tuple[float, ...]:
     """Return the possible focal lengths from millimetres and the pixel pitch of the sensor.
 
-    The sides of a picture that was rotated upright are exchanged.
+    If a picture was rotated to portrait, its longer side is EXIF's width.
     """
     focal, x_resolution, y_resolution = (
         to_number(detail.get(name))
@@ -216,7 +216,7 @@ def _focal_plane(detail: Mapping[str, object], size: Size) -> tuple[float, ...]:
         sides = (width * max(size) / size[0],)
     elif width == size[1]:
         sides = (width,)
-    else:  # upright, and it is unknown whether it was rotated
+    else:  # portrait, and it is unknown whether it was rotated
         sides = (width, width * size[1] / size[0])
     # If the two resolutions differ, one of them refers to another image size or unit.
     differ = y_resolution > 0 and not _is_near(x_resolution, y_resolution, _MAX_PIXEL_DIFFERENCE)
@@ -285,8 +285,8 @@ def _describe_doubt(
     return f"its fields contradict each other: {', '.join(stated)} (35 mm equivalent)"
 
 
-def _is_near(first: float, second: float, share: float) -> bool:
-    return max(first, second) < (1 + share) * min(first, second)
+def _is_near(first: float, second: float, tolerance: float) -> bool:
+    return max(first, second) < (1 + tolerance) * min(first, second)
 
 
 def _is_plausible(focal: float) -> bool:

@@ -21,8 +21,8 @@ _BINS = round(HIGHEST_M - LOWEST_M)
 _STEP_M = 10
 # Such a constant above all other heights is at least this far above them, metres.
 _CLIFF_M = 100
-# Heights of 0 are reported if at least this share of the pixels has them. If they lie below all
-# others, they are reported only from this distance (m) on.
+# Heights of 0 are reported if at least this share of the pixels has them. If 0 is the lowest
+# height, all others must also be at least ``_REMARK_M`` (m) higher.
 _REMARK_SHARE, _REMARK_M = 0.01, 1
 # Heights of 0 between others are reported if the number of pixels within a metre of 0, divided by
 # that of pixels of exactly 0, is at most this. In rasters with steps of 0.1 m, heights of exactly 0
@@ -172,7 +172,7 @@ class Ground:
         lowest: lower heights are no data, metres.
         highest: higher heights are no data, metres.
         holes: heights that mean no data, metres.
-        doubts: phrases for the user.
+        doubts: phrases for warnings.
     """
 
     lowest: float = LOWEST_M

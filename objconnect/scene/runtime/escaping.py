@@ -6,11 +6,11 @@ import unicodedata
 
 # Unicode categories that control a terminal or cannot be encoded: control and format characters,
 # surrogates, line and paragraph separators.
-_HIDDEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
+_ESCAPED_CATEGORIES = ("Cc", "Cf", "Cs", "Zl", "Zp")
 
 
 def for_terminal(text: object) -> str:
-    r"""Return a text on one line, with characters that control a terminal as Python escapes.
+    r"""Return a text on one line, with Python escapes for characters that control a terminal.
 
     Bytes of a file name that are not UTF-8 are escaped too. A backslash is not changed.
 
@@ -20,7 +20,7 @@ def for_terminal(text: object) -> str:
     """
     return "".join(
         character.encode("unicode_escape", "surrogatepass").decode("ascii")
-        if unicodedata.category(character) in _HIDDEN
+        if unicodedata.category(character) in _ESCAPED_CATEGORIES
         else character
         for character in str(text)
     )

@@ -13,7 +13,7 @@ PHOTOGRAPHS: Final = (".jpg", ".jpeg", ".png")
 """Suffixes of photographs, in lower case."""
 
 # Files and folders that file managers create, besides hidden ones.
-_LEFT_BEHIND: Final = frozenset({"thumbs.db", "desktop.ini", "__macosx"})
+_FILE_MANAGER_NAMES: Final = frozenset({"thumbs.db", "desktop.ini", "__macosx"})
 
 
 def is_stray(name: str) -> bool:
@@ -21,7 +21,7 @@ def is_stray(name: str) -> bool:
 
     Examples are ``.DS_Store``, ``._a.jpg`` and ``Thumbs.db``.
     """
-    return name.startswith(".") or name.lower() in _LEFT_BEHIND
+    return name.startswith(".") or name.lower() in _FILE_MANAGER_NAMES
 
 
 def list_files(folder: Path, suffixes: Collection[str], depth: int | None = 1) -> list[Path]:

@@ -24,42 +24,42 @@ class ResumableFolder:
         path: the folder.
         record: the file in it that records the request.
         request: text of the record for the present command.
-        difference: compares the record at a path with the present request. It returns None if they
-            are equal, else a phrase with the difference, and raises ``InputError`` if the record is
-            damaged.
+        find_difference: compares the record at a path with the present request. It returns None if
+            they are equal, else a phrase with the difference, and raises ``InputError`` if the
+            record is damaged.
     """
 
     path: Path
     record: Path
     request: str
-    difference: Callable[[Path], str | None]
+    find_difference: Callable[[Path], str | None]
 
     def is_begun(self) -> bool:
         """Return whether the folder holds a record of any request."""
         return self.record.is_file()
 
-    def is_same(self) -> bool:
+    def has_same_request(self) -> bool:
         """Return whether the folder holds a record of the same request.
 
         Raises:
             InputError: the record is damaged.
         """
-        return self.is_begun() and self.difference(self.record) is None
+        return self.is_begun() and self.find_difference(self.record) is None
 
-    def can_resume(self, refusal: Callable[[str], str]) -> bool:
+    def can_resume(self, describe_refusal: Callable[[str], str]) -> bool:
         """Return whether there is work of the same request to resume.
 
         Args:
-            refusal: returns the message for a folder of another request, from the difference.
+            describe_refusal: returns the error message for a difference between the requests.
 
         Raises:
             InputError: the record is damaged, or is of another request.
         """
         if not self.is_begun():
             return False
-        difference = self.difference(self.record)
+        difference = self.find_difference(self.record)
         if difference is not None:
-            raise InputError(refusal(difference))
+            raise InputError(describe_refusal(difference))
         return True
 
     def require_empty(self, what: str) -> None:

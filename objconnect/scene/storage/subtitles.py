@@ -45,7 +45,7 @@ _ZEROS = {
 
 @dataclass(frozen=True)
 class Subtitle:
-    """A text with its first and last time, seconds from the start of the video."""
+    """A text with its start and end times, seconds from the start of the video."""
 
     start_s: float
     end_s: float
@@ -79,7 +79,7 @@ def read_subtitles(path: Path) -> list[Subtitle]:
     try:
         items = [
             Subtitle(item.start.total_seconds(), item.end.total_seconds(), item.content)
-            # Text between subtitles is skipped, as by players.
+            # Text between subtitles is skipped, as video players do.
             for item in srt.parse(_normalize_times(_normalize_line_ends(text)), ignore_errors=True)
         ]
     except (ValueError, OverflowError):

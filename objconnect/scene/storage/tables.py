@@ -25,8 +25,8 @@ def read_table(
         columns: required columns.
 
     Raises:
-        InputError: the file is unreadable, a column is missing or named twice, a row has another
-            number of values than the header, or a value is longer than the csv module allows. The
+        InputError: the file is unreadable, a column is missing or named twice, a row has more or
+            fewer values than the header, or a value is longer than the csv module allows. The
             last two also happen where a quote is never closed.
     """
     rows = csv.reader(io.StringIO(read_text(path, what), newline=""))
@@ -83,5 +83,5 @@ def require_commas(header: Sequence[str], what: str) -> None:
     Raises:
         InputError: the header has one name with semicolons or tabs.
     """
-    if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
+    if len(header) == 1 and any(separator in header[0] for separator in ";\t"):
         raise InputError(f"{what} has other separators than commas: use commas")

@@ -90,8 +90,10 @@ def parse_xmp(packets: bytes | Sequence[bytes], size: tuple[int, int]) -> DroneX
     texts: dict[str, str] = {}
     foreign: set[str] = set()
     for packet in [packets] if isinstance(packets, bytes) else packets:
-        _Fields(texts, foreign).read(packet)
-    numbers = {name: value for name, text in texts.items() if (value := _number(text)) is not None}
+        _FieldParser(texts, foreign).read(packet)
+    numbers = {
+        name: value for name, text in texts.items() if (value := _parse_plausible(text)) is not None
+    }
     gimbal, doubts = _gimbal(numbers, texts, foreign)
     sigma = _read_three(numbers, "RtkStd{}", "Lon", "Lat", "Hgt")
     fixed = numbers.get("RtkFlag") == _RTK_FIXED
@@ -113,7 +115,7 @@ def parse_xmp(packets: bytes | Sequence[bytes], size: tuple[int, int]) -> DroneX
     )
 
 
-class _Fields:
+class _FieldParser:
     """A parser that collects attributes and elements of packets by name without prefix.
 
     Attributes:
@@ -128,7 +130,7 @@ class _Fields:
         self._other_depth = 0  # levels of nested elements inside one of ``_OTHER_PICTURES``
 
     def read(self, packet: bytes) -> None:
-        """Add the fields of a packet, of a damaged one up to the damage."""
+        """Add the fields of a packet; if it is damaged, only those before the damage."""
         # Namespaces are not resolved, because editing programs lose their declarations.
         parser = expat.ParserCreate()
         parser.buffer_text = True
@@ -190,7 +192,7 @@ def _gimbal(
     return angles, ()
 
 
-def _number(text: str) -> float | None:
+def _parse_plausible(text: str) -> float | None:
     value = parse_number(text)
     return value if value is not None and abs(value) <= _MAX_NUMBER else None
 

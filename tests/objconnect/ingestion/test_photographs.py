@@ -50,7 +50,7 @@ def test_names_that_become_one(photographs: Path, tmp_path: Path) -> None:
     first, second = sorted(photographs.iterdir())[:2]
     shutil.copy(first, tmp_path / "a b.jpg")
     shutil.copy(second, tmp_path / "a_b.jpg")
-    with pytest.raises(InputError, match="'a b.jpg' and 'a_b.jpg' would have one name"):
+    with pytest.raises(InputError, match="'a b.jpg' and 'a_b.jpg' would have the same name"):
         read_flight(tmp_path)
 
 

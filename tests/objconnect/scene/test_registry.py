@@ -96,13 +96,13 @@ def test_faults_are_blamed_on_packages_alone(
     install("number = builtins:int")
     with (
         pytest.raises(InputError, match=r"^thing 'number' \(builtins:int\) cannot be read: ValueE"),
-        things.blame("number", "cannot be read"),
+        things.convert_errors("number", "cannot be read"),
     ):
         things.load("number")("x")
     with (
         pytest.raises(InputError, match="^mine$"),
-        things.blame("number", "cannot be read"),
+        things.convert_errors("number", "cannot be read"),
     ):
         raise InputError("mine")
-    with pytest.raises(ValueError, match="Invalid literal"), things.blame("late", "fails"):
+    with pytest.raises(ValueError, match="Invalid literal"), things.convert_errors("late", "fails"):
         things.load("late")("x")

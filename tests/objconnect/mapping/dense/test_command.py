@@ -229,16 +229,16 @@ def test_the_options_are_recorded(tmp_path: Path) -> None:
     key = {**before, "options": DenseOptions().model_dump(mode="json"), "device": "cpu"}
     other = DenseOptions(confirmed=3).model_dump(mode="json")
     (tmp_path / KEY_FILE).write_text(json.dumps(before))
-    assert _resumable(tmp_path, key).is_same()
+    assert _resumable(tmp_path, key).has_same_request()
     (tmp_path / KEY_FILE).write_text(
         json.dumps({**before, "options": {"agreement": key["options"]}})
     )
-    assert _resumable(tmp_path, key).is_same()
-    assert not _resumable(tmp_path, {**key, "options": other}).is_same()
-    assert not _resumable(tmp_path, {**key, "device": "cuda:0"}).is_same()
-    assert not _resumable(tmp_path, {**key, "size": 97}).is_same()
+    assert _resumable(tmp_path, key).has_same_request()
+    assert not _resumable(tmp_path, {**key, "options": other}).has_same_request()
+    assert not _resumable(tmp_path, {**key, "device": "cuda:0"}).has_same_request()
+    assert not _resumable(tmp_path, {**key, "size": 97}).has_same_request()
     (tmp_path / KEY_FILE).write_text('{"map"')
-    assert not _resumable(tmp_path, key).is_same()
+    assert not _resumable(tmp_path, key).has_same_request()
 
 
 def test_two_runs_do_not_write_one_cloud(rendered_copy: Path) -> None:

@@ -149,7 +149,7 @@ def test_the_project_of_plain_opensfm_tells_the_frame(
     assert_true(path, truth, "topocentric")
     plain_project(path.parent)
     assert_true(path, truth)
-    with pytest.raises(InputError, match="OpenSfM's project around it, but projected"):
+    with pytest.raises(InputError, match="the OpenSfM project that holds it, but projected"):
         read_foreign(path, "projected")
     (path.parent / "image_list.txt").write_text("/datasets/project/images/a.jpg\n")
     with pytest.raises(InputError, match="cannot be determined"):
@@ -198,7 +198,7 @@ def test_a_name_that_contradicts_the_poses_is_refused(
         ("topocentric", r"to its name, but projected according to gps_position \(turned by 2"),
         (
             "geocoords",
-            "projected according to its name, but topocentric according to OpenSfM",
+            "projected according to its name, but topocentric according to the OpenSfM",
         ),
     ):
         file = project / f"reconstruction.{name}.json"
@@ -281,7 +281,7 @@ def test_files_of_two_reconstructions_are_refused(odm: tuple[Path, Truth]) -> No
     other.world_from_cam = np.resize(other.world_from_cam, truth.world_from_cam.shape)
     first = path.with_name("reconstruction.topocentric.json")
     first.write_text(shots_of(truth, other.world_from_cam, True))
-    with pytest.raises(InputError, match="hold two reconstructions"):
+    with pytest.raises(InputError, match="hold different reconstructions"):
         read_foreign(path)
     (path.parent / "reference_lla.json").write_text(
         '{"latitude": 47.1, "longitude": 11.9, "altitude": 0}'

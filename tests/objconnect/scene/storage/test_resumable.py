@@ -26,10 +26,10 @@ def test_the_same_request_goes_on_and_another_is_refused(tmp_path: Path) -> None
     assert not red.can_resume(refusal)
     red.begin()
     assert red.is_begun()
-    assert red.is_same()
+    assert red.has_same_request()
     assert red.can_resume(refusal)
     blue = folder(tmp_path, "blue")
-    assert not blue.is_same()
+    assert not blue.has_same_request()
     with pytest.raises(InputError, match="another colour {}"):
         blue.can_resume(refusal)
     red.end()
