@@ -171,8 +171,8 @@ class Projection:
                 f"'projsync --file {grid}', or give the horizontal system alone"
             )
         return (
-            f"PROJ has only a ballpark conversion between heights in {self.name} and the "
-            "ellipsoid: give the horizontal system alone"
+            f"heights in {self.name} cannot be converted: PROJ has only a ballpark conversion to "
+            "the ellipsoid: give the horizontal system alone"
         )
 
     def reaches(self, place: Geodetic) -> bool:

@@ -83,8 +83,7 @@ QUICK = (3855, 5703, 5711, 5715, 5728)
     ],
 )
 def test_heights_by_a_ballpark_are_refused(code: int) -> None:
-    said = r"heights in .*(is not installed|point down)|ballpark conversion between heights in"
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=r"heights in .*(is not installed|ballpark|point down)"):
         Projection(f"EPSG:4326+{code}")
     alone = Projection(f"EPSG:4326+{code}", horizontal=True)
     assert np.allclose(alone.from_geodetic(Geodetic(47.0, 8.0, 5.0)), [8.0, 47.0, 5.0])
