@@ -53,12 +53,13 @@ class SplitBy(StrEnum):
 
 
 class LayerName(StrEnum):
-    """The dense layers of a scene; see ``objconnect.scene.bundle.frames.LAYERS``."""
+    """The layers that ``publish`` can write; see ``benchmark.publishing.layers.LAYER_FILES``."""
 
     DEPTH = "depth"
     INSTANCE = "instance"
     SEMANTIC = "semantic"
     NORMAL = "normal"
+    THERMAL = "thermal"
 
 
 LongerSide = Annotated[
@@ -273,7 +274,7 @@ ScenesToPublish = Annotated[
 Layers = Annotated[
     list[LayerName] | None,
     typer.Option(
-        help="Dense layer to publish with each photograph; repeat the option for several.",
+        help="Layer to publish with each photograph; repeat the option for several.",
     ),
 ]
 License = Annotated[

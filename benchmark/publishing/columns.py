@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from benchmark.publishing.layers import LAYER_FILES
-from objconnect.scene.bundle.frames import Layer
+from benchmark.publishing.layers import LAYER_FILES, PublishedLayer
 
 Kind = Literal["text", "float", "integer", "picture"]
 
@@ -87,7 +86,7 @@ COLUMNS: Final[Mapping[str, Column]] = {
 """The columns that every published data set has, in their order."""
 
 
-def columns_with(layers: Sequence[Layer]) -> dict[str, Column]:
+def columns_with(layers: Sequence[PublishedLayer]) -> dict[str, Column]:
     """Return the columns of a data set with these layers."""
     layer_columns = {str(layer): Column("picture", LAYER_FILES[layer].meaning) for layer in layers}
     return {**COLUMNS, **layer_columns}

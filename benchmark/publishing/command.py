@@ -17,12 +17,12 @@ from benchmark.publishing.index import (
     PublishedSession,
     scene_folder,
 )
+from benchmark.publishing.layers import LAYER_FILES, PublishedLayer
 from benchmark.publishing.previews import draw_preview, preview_name
 from benchmark.publishing.report import PublishReport, Sizes
 from benchmark.publishing.rows import SPLITS
 from benchmark.publishing.shards import require_parquet, write_shards
 from benchmark.publishing.sources import Source, choose_license, find_scenes, open_sources
-from objconnect.scene.bundle.frames import LAYERS, Layer
 from objconnect.scene.bundle.manifest import write_json
 from objconnect.scene.errors import InputError, WriteError
 from objconnect.scene.storage.atomic import atomic_folder, replace_folder
@@ -49,7 +49,7 @@ def publish(
     Args:
         paths: scenes, flights, or folders of them, such as those that ``track`` renders.
         out: folder, new or empty; its name is the name of the data set.
-        layers: dense layers to publish with the photographs, keys of ``LAYERS``.
+        layers: layers to publish with the photographs, keys of ``LAYER_FILES``.
         release: the publisher's statements on the data set.
         dry_run: whether to write nothing and to report the size.
         sealed: whether to leave out the poses of the queries and all data that reveal them. Only
@@ -74,13 +74,13 @@ def publish(
         if (parent / INDEX).is_file():
             raise InputError(f"{out} lies in the data set {parent}: choose a folder outside it")
     check_output_folder(out, folders)
-    if unknown := [layer for layer in layers if layer not in LAYERS]:
-        raise InputError(f"there is no layer {unknown[0]!r}; there are {', '.join(LAYERS)}")
+    if unknown := [layer for layer in layers if layer not in LAYER_FILES]:
+        raise InputError(f"there is no layer {unknown[0]!r}; there are {', '.join(LAYER_FILES)}")
     if layers and sealed:
         raise InputError(
-            "dense layers reveal the poses, so a sealed data set has none: leave out --layer"
+            "layers can reveal the poses, so a sealed data set has none: leave out --layer"
         )
-    ordered_layers = tuple(layer for layer in LAYERS if layer in layers)
+    ordered_layers = tuple(layer for layer in LAYER_FILES if layer in layers)
     sources = open_sources(folders, ordered_layers, sealed)
     license_id = choose_license(sources, release)
     sizes = Sizes.sum(source.sizes() for source in sources)
@@ -111,7 +111,7 @@ def _write(
     folder: Path,
     name: str,
     sources: Sequence[Source],
-    layers: Sequence[Layer],
+    layers: Sequence[PublishedLayer],
     release: Release,
     license_id: str,
 ) -> None:

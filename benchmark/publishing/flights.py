@@ -15,12 +15,12 @@ from benchmark.datasets.dataset import BenchmarkQuery, Dataset
 from benchmark.datasets.flight import photograph_conditions
 from benchmark.datasets.identity import digest_values
 from benchmark.datasets.simulated import query_of
+from benchmark.publishing.layers import PublishedLayer
 from benchmark.publishing.rows import SceneRows
 from objconnect.scene.bundle.frames import (
     FRAME_SHAPES,
     DenseLayers,
     Frames,
-    Layer,
     check_arrays,
 )
 from objconnect.scene.bundle.manifest import Splits
@@ -38,11 +38,13 @@ class FlightSession:
         condition: condition of the photographs that have no condition of their own.
         flight: kind of flight; the files do not state it.
         readout_s: seconds of the readout; the files do not state it.
+        thermal: None, because flights have no thermal pictures.
     """
 
     condition: str
     flight: str = "unknown"
     readout_s: float = 0.0
+    thermal: None = None
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,7 @@ class Flight:
         raise InputError(f"flight {self.path} has no layers: leave out --layer")
 
 
-def flight_rows(path: Path, dataset: Dataset, layers: Sequence[Layer]) -> SceneRows:
+def flight_rows(path: Path, dataset: Dataset, layers: Sequence[PublishedLayer]) -> SceneRows:
     """Return a flight as rows.
 
     Args:

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, Field
 
-from objconnect.scene.bundle.frames import Layer
+from benchmark.publishing.layers import PublishedLayer
 from objconnect.scene.bundle.manifest import Condition, FolderName, Name, read_json
 from objconnect.scene.geometry.geodesy import Geodetic
 from objconnect.scene.storage.names import is_utf8
@@ -92,7 +92,7 @@ class PublishedIndex(Record):
 
     Attributes:
         license: SPDX identifier.
-        layers: dense layers that the rows contain.
+        layers: layers that the rows contain.
         scenes: the scenes.
         sealed: whether the poses of the queries are left out; then ``sha256`` of a scene is the
             digest of this public half.
@@ -100,7 +100,7 @@ class PublishedIndex(Record):
 
     schema_version: Literal[1] = 1
     license: str
-    layers: tuple[Layer, ...]
+    layers: tuple[PublishedLayer, ...]
     scenes: tuple[PublishedScene, ...] = Field(min_length=1)
     sealed: bool = False
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
@@ -12,10 +12,16 @@ from typing import Any, Final, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.publishing.layers import LAYER_FILES, encode_layer
+from benchmark.publishing.layers import (
+    LAYER_FILES,
+    PublishedLayer,
+    SessionLayers,
+    file_size,
+)
 from benchmark.tracks.difficulty import Difficulty
-from objconnect.scene.bundle.frames import DenseLayers, Frames, Layer
+from objconnect.scene.bundle.frames import DenseLayers, Frames
 from objconnect.scene.bundle.manifest import Splits
+from objconnect.scene.bundle.thermal import Thermal
 from objconnect.scene.errors import InputError
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.storage.digests import sha256
@@ -64,6 +70,11 @@ class SessionFacts(Protocol):
         """Seconds between the readout of the top and the bottom row of a photograph."""
         ...
 
+    @property
+    def thermal(self) -> Thermal | None:
+        """How its thermal pictures are coded; None without such pictures."""
+        ...
+
 
 class SceneOrFlight(Protocol):
     """A scene or a flight, the source of rows."""
@@ -105,7 +116,7 @@ class SceneRows:
     Attributes:
         scene: the scene or flight.
         frames: frames by session.
-        layers: dense layers to publish.
+        layers: layers to publish.
         conditions: condition by name of the photograph, where it is not that of the session.
         difficulty: difficulty by name of the query; empty if it was not measured.
         sealed: whether rows of queries lack the pose, the time and the metadata of the photograph.
@@ -113,7 +124,7 @@ class SceneRows:
 
     scene: SceneOrFlight
     frames: Mapping[str, Frames]
-    layers: Sequence[Layer] = ()
+    layers: Sequence[PublishedLayer] = ()
     conditions: Mapping[str, str] = field(default_factory=dict)
     difficulty: Mapping[str, Difficulty] = field(default_factory=dict)
     sealed: bool = False
@@ -155,13 +166,22 @@ class SceneRows:
         Raises:
             InputError: a photograph is missing.
         """
-        try:
-            return sum(
-                (self.scene.images_root / frame.name).stat().st_size
-                for frame in self.frame_rows(split)
+        images_root = self.scene.images_root
+        return sum(file_size(images_root / frame.name) for frame in self.frame_rows(split))
+
+    @contextmanager
+    def session_layers(self, session: str) -> Iterator[SessionLayers]:
+        """Open the layers of a session.
+
+        Raises:
+            InputError: the file of the dense layers is missing or damaged, or the rows are those of
+                a flight.
+        """
+        scene = self.scene
+        with scene.layers(session) as dense:
+            yield SessionLayers(
+                dense, self.frames[session], scene.images_root, scene.sessions[session].thermal
             )
-        except OSError as error:
-            raise InputError(f"cannot read {error.filename}: {error.strerror}") from None
 
     def rows(self, split: Split) -> Iterator[Row]:
         """Yield the rows of a split in order.
@@ -172,11 +192,11 @@ class SceneRows:
         split_rows = self.frame_rows(split)
         for session, members in groupby(split_rows, key=lambda frame: frame.session):
             with ExitStack() as stack:
-                stored = stack.enter_context(self.scene.layers(session)) if self.layers else None
+                stored = stack.enter_context(self.session_layers(session)) if self.layers else None
                 for frame in members:
                     yield self._row(split, frame, stored)
 
-    def _row(self, split: Split, frame: FrameRow, stored: DenseLayers | None) -> Row:
+    def _row(self, split: Split, frame: FrameRow, stored: SessionLayers | None) -> Row:
         frames, k = self.frames[frame.session], frame.row
         session, camera = self.scene.sessions[frame.session], frames.cameras[k]
         difficulty = self.difficulty.get(frame.name) if split == "query" else None
@@ -184,7 +204,7 @@ class SceneRows:
         if stored is not None:
             layers = {
                 layer: _picture(
-                    encode_layer(layer, stored.read(layer, k)),
+                    stored.encoded(layer, k),
                     f"{frame.name}.{layer}{LAYER_FILES[layer].suffix}",
                 )
                 for layer in self.layers

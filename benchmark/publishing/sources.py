@@ -15,11 +15,11 @@ from benchmark.datasets.simulated import open_scene
 from benchmark.publishing.description import Release, is_invented
 from benchmark.publishing.flights import flight_rows
 from benchmark.publishing.index import INDEX, Provenance
+from benchmark.publishing.layers import PublishedLayer
 from benchmark.publishing.licenses import RENDERS_LICENSE
 from benchmark.publishing.report import Sizes
 from benchmark.publishing.rows import SPLITS, SceneRows
 from benchmark.tracks.difficulty import Difficulty, measure
-from objconnect.scene.bundle.frames import Layer
 from objconnect.scene.bundle.manifest import Manifest
 from objconnect.scene.bundle.scene import COVISIBILITY, FEATURES, MAP_FILES, Scene, is_scene
 from objconnect.scene.config import MAX_NUMBER
@@ -96,28 +96,30 @@ class Source:
         """Return the bytes to publish.
 
         Raises:
-            InputError: a photograph is missing.
+            InputError: a photograph or a thermal picture is missing.
         """
         layers = 0
         for session in self.rows.frames if self.rows.layers else ():
-            with self.rows.scene.layers(session) as stored:
-                layers += sum(stored.stored_bytes(layer) for layer in self.rows.layers)
+            with self.rows.session_layers(session) as stored:
+                layers += stored.stored_bytes(self.rows.layers)
         return Sizes(
             photographs=sum(self.rows.photograph_bytes(split) for split in SPLITS),
             maps=sum(path.stat().st_size for _, path in self.files),
             layers=layers,
         )
 
-    def _has(self, layer: Layer) -> bool:
-        """Return whether every session has a dense layer."""
+    def _has(self, layer: PublishedLayer) -> bool:
+        """Return whether every session has a layer."""
         for session in self.rows.frames:
-            with self.rows.scene.layers(session) as stored:
+            with self.rows.session_layers(session) as stored:
                 if not stored.has(layer):
                     return False
         return True
 
 
-def open_sources(folders: Sequence[Path], layers: Sequence[Layer], sealed: bool) -> list[Source]:
+def open_sources(
+    folders: Sequence[Path], layers: Sequence[PublishedLayer], sealed: bool
+) -> list[Source]:
     """Open the scenes and flights to publish; ``sealed`` leaves out the poses of their queries.
 
     Raises:
@@ -144,7 +146,7 @@ def open_sources(folders: Sequence[Path], layers: Sequence[Layer], sealed: bool)
     return sources
 
 
-def _open_scene(folder: Path, layers: Sequence[Layer], sealed: bool) -> Source:
+def _open_scene(folder: Path, layers: Sequence[PublishedLayer], sealed: bool) -> Source:
     scene = Scene.open(folder)
     if sealed:
         _require_secret(scene)
@@ -187,7 +189,7 @@ def _provenance(manifest: Manifest, sealed: bool) -> Provenance:
     )
 
 
-def _open_flight(folder: Path, layers: Sequence[Layer]) -> list[Source]:
+def _open_flight(folder: Path, layers: Sequence[PublishedLayer]) -> list[Source]:
     return [
         Source(
             flight_rows(folder, dataset, layers),

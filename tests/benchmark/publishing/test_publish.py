@@ -26,6 +26,7 @@ from benchmark.tracks.difficulty import measure
 from objconnect.scene.bundle.frames import LAYERS, Layer
 from objconnect.scene.bundle.manifest import write_json
 from objconnect.scene.bundle.scene import Scene, finish_scene
+from objconnect.scene.bundle.thermal import Thermal, write_thermal
 from objconnect.scene.errors import InputError, WriteError
 from objconnect.scene.storage.checksums import CHECKSUMS
 from tests.benchmark.publishing.conftest import STATED
@@ -39,6 +40,22 @@ def names_in(folder: Path) -> set[str]:
 def change(scene: Path, **values: object) -> None:
     """Finish a scene again with other facts."""
     finish_scene(scene, Scene.open(scene).manifest.model_copy(update=values))
+
+
+def add_thermal(scene: Path) -> None:
+    """Write thermal pictures of invented temperatures beside all photographs of a scene."""
+    record = Thermal(kelvin_per_count=0.01, netd_k=0.05, air_c=20.0, low_c=10.0, high_c=60.0)
+    opened, rng = Scene.open(scene), np.random.default_rng(3)
+    for session in opened.sessions:
+        frames = opened.frames(session)
+        for name, camera in zip(frames.names, frames.cameras, strict=True):
+            counts = rng.integers(28000, 33000, (camera.height, camera.width), np.uint16)
+            write_thermal(opened.images_root, name, counts, record)
+    sessions = {
+        name: session.model_copy(update={"thermal": record})
+        for name, session in opened.sessions.items()
+    }
+    change(scene, sessions=sessions)
 
 
 def read_query_rows(folder: Path, *columns: str) -> list[Row]:
@@ -122,6 +139,36 @@ def test_layers_are_exact(rendered: Scene, tmp_path: Path) -> None:
                 pixels = (pixels.astype(np.int16) - 128).astype(np.int8)
             assert pixels.dtype == LAYERS[layer]
             assert np.array_equal(pixels, dense.read(layer, index)), layer
+
+
+def test_thermal_pictures_are_published_in_kelvin(hamlet: Path, tmp_path: Path) -> None:
+    add_thermal(hamlet)
+    report = publish([hamlet], tmp_path / "out", layers=["thermal"])
+    pictures = hamlet.glob("sessions/*/thermal/*.png")
+    assert report.sizes.layers == sum(picture.stat().st_size for picture in pictures)
+    rows = read_query_rows(tmp_path / "out", "name", "thermal")
+    for row in rows:
+        with Image.open(io.BytesIO(row["thermal"]["bytes"])) as image:
+            kelvin = np.asarray(image)
+        assert kelvin.dtype == np.float32
+        assert np.array_equal(kelvin, Scene.open(hamlet).thermal(row["name"]))
+    assert read_index(tmp_path / "out").layers == ("thermal",)
+
+
+def test_a_scene_without_whole_thermal_pictures_is_refused(hamlet: Path, tmp_path: Path) -> None:
+    def refusal() -> str:
+        with pytest.raises(InputError) as caught:
+            publish([hamlet], tmp_path / "out", layers=["thermal"])
+        assert not (tmp_path / "out").exists()
+        return str(caught.value)
+
+    assert "session without thermal images: leave out --layer thermal" in refusal()
+    add_thermal(hamlet)
+    picture = next(hamlet.glob("sessions/*/thermal/*.png"))
+    picture.write_bytes(picture.read_bytes()[:60])
+    assert str(picture) in refusal()
+    picture.unlink()
+    assert f"cannot read {picture}: No such file" in refusal()
 
 
 def test_difficulty_is_that_of_the_tracks(rendered: Scene, tmp_path: Path) -> None:
