@@ -14,13 +14,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from objconnect.network.landmarks import Landmarks, ObjectLayout
+from objconnect.network.nearest_landmarks import NearestLandmarks
 
 _Complex = NDArray[np.complex128]
 _Real = NDArray[np.float64]
@@ -47,19 +47,13 @@ _REFINED_SIGMA_M: Final = 2.0
 _ROUNDS: Final = 2
 # Largest change in one round of the refinement: heading (rad) and logarithm of the height.
 _MOST_CHANGE: Final = 0.3
-# Number of hypotheses that are scored at once.
-_BATCH: Final = 4096
+# Maximum number of objects by which hypotheses are compared, which bounds time.
+_MAX_SCORED: Final = 128
 # Number of the best hypotheses, among which distinct ones are chosen.
 _BEST: Final = 4000
 # Two hypotheses are distinct if their positions or their headings differ by more than this.
 _DISTINCT_M: Final = 4.0
 _DISTINCT_RAD: Final = 0.2
-# Side of a cell of the grid of nearest landmarks, metres, and the largest number of cells along an
-# axis.
-_CELL_M: Final = 1.0
-_MOST_CELLS: Final = 4096
-# Margin of this grid around the landmarks, metres.
-_MARGIN_M: Final = 4.0
 
 
 class GroundPoses(NamedTuple):
@@ -132,6 +126,10 @@ class ObjectSimilarity(NamedTuple):
         """Return the similarity of the objects with these rows."""
         return ObjectSimilarity(self.ratio[rows], self.rows[:, rows])
 
+    def most_distinctive(self, count: int) -> NDArray[np.int64]:
+        """Return the rows of the objects with the largest ratios, at most ``count``."""
+        return np.sort(np.argsort(-self.ratio.max(1), kind="stable")[:count])
+
 
 class PairSearch:
     """Finds the poses at which the objects of a photograph lie on landmarks of a map.
@@ -147,7 +145,7 @@ class PairSearch:
         self._vectors = torch.nn.functional.normalize(torch.from_numpy(landmarks.vectors), dim=1)
         self._tiles = _tiles(landmarks.xyz[:, :2], np.arange(len(landmarks)))
         self._similar = min(similar, *map(len, self._tiles))
-        self._nearest = _NearestLandmarks(self._positions)
+        self._nearest = NearestLandmarks(self._positions)
 
     def compare(self, vectors: Tensor) -> ObjectSimilarity:
         """Return the similarity of objects with unit vectors (N, V) and the landmarks."""
@@ -168,7 +166,9 @@ class PairSearch:
         offset: _Complex = layout.offset[:, 0] + 1j * layout.offset[:, 1]
         poses = self._hypotheses(layout, offset, similarity)
         poses = poses.select(bounds.allow(poses))
-        kept = poses.select(_select_distinct(poses, self._scores(offset, similarity, poses), count))
+        rows = similarity.most_distinctive(_MAX_SCORED)
+        scores = self._scores(offset[rows], similarity.select(rows), poses)
+        kept = poses.select(_select_distinct(poses, scores, count))
         for _ in range(_ROUNDS):
             kept = self._refine(offset, similarity, kept)
         kept = kept.select(bounds.allow(kept))
@@ -208,15 +208,10 @@ class PairSearch:
         return GroundPoses(np.concatenate(scaled_rotations), np.concatenate(camera_positions))
 
     def _scores(self, offset: _Complex, similarity: ObjectSimilarity, poses: GroundPoses) -> _Real:
-        scores = np.empty(len(poses.scaled_rotation))
-        objects = np.arange(len(offset))
-        for begin in range(0, len(scores), _BATCH):
-            part = slice(begin, begin + _BATCH)
-            rows, weights = self.matches(
-                offset, GroundPoses(poses.scaled_rotation[part], poses.position[part])
-            )
-            scores[part] = (similarity.ratio[objects, rows] * weights).sum(1)
-        return scores / math.sqrt(max(1, len(offset)))
+        sums = self._nearest.sum_weighted(
+            similarity.ratio, offset, *poses, sigma_m=_DISTANCE_SIGMA_M
+        )
+        return sums / math.sqrt(max(1, len(offset)))
 
     def _refine(
         self, offset: _Complex, similarity: ObjectSimilarity, poses: GroundPoses
@@ -240,36 +235,6 @@ class PairSearch:
             np.where(small, scaled_rotation, poses.scaled_rotation),
             np.where(small, position, poses.position),
         )
-
-
-class _NearestLandmarks:
-    """The landmark nearest to every cell of a grid, by a distance transform."""
-
-    def __init__(self, positions: _Complex) -> None:
-        xy = np.column_stack([positions.real, positions.imag])
-        self._origin = xy.min(0) - _MARGIN_M
-        extent = xy.max(0) + _MARGIN_M - self._origin
-        self._cell = max(_CELL_M, float(extent.max()) / _MOST_CELLS)
-        columns, rows = np.ceil(extent / self._cell).astype(int).tolist()
-        column, row = np.floor((xy - self._origin) / self._cell).astype(int).T
-        is_empty = np.ones((rows, columns), np.uint8)
-        is_empty[row, column] = 0
-        _, labels = cv2.distanceTransformWithLabels(
-            is_empty, cv2.DIST_L2, cv2.DIST_MASK_PRECISE, labelType=cv2.DIST_LABEL_PIXEL
-        )
-        landmark = np.zeros(int(labels.max()) + 1, np.int64)
-        landmark[labels[row, column]] = np.arange(len(positions))
-        self._landmark = landmark[labels]
-
-    def __call__(self, positions: _Complex) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Return the rows of the nearest landmarks, and whether the position is in the grid."""
-        column = np.floor((positions.real - self._origin[0]) / self._cell).astype(np.int64)
-        row = np.floor((positions.imag - self._origin[1]) / self._cell).astype(np.int64)
-        rows, columns = self._landmark.shape
-        is_inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-        return self._landmark[
-            np.where(is_inside, row, 0), np.where(is_inside, column, 0)
-        ], is_inside
 
 
 def _tiles(xy: _Real, rows: NDArray[np.int64]) -> list[NDArray[np.int64]]:
