@@ -27,7 +27,6 @@ from objconnect.network.object_pairs import Bounds, GroundPoses, ObjectSimilarit
 from objconnect.network.object_pose import refine_pose
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose, so3_exp
-from objconnect.scene.localizer import PoseSource
 
 CANDIDATES: Final = 5
 """Default maximum number of candidate poses of a photograph."""
@@ -167,7 +166,7 @@ class ObjectMatcher:
             up = self._ground.height_at(position.real, position.imag) + height
             centre = torch.tensor([position.real, position.imag, up], dtype=torch.float64)
             pose = Pose(rotation, -rotation @ centre)
-            candidates.append((Candidate(pose, float(score), PoseSource.OBJECTS), heading))
+            candidates.append((Candidate(pose, float(score)), heading))
         return candidates
 
     def _refine(

@@ -128,7 +128,6 @@ class PoseSource(StrEnum):
     ALIGNMENT = "alignment"  # dense features aligned to those of the map's points
     TRACKING = "tracking"  # an alignment from the pose that the preceding images predict
     PLACE = "place"  # the best candidate of the coarse search, not refined
-    OBJECTS = "objects"  # the best candidate of the objects, not refined
     RETRIEVAL = "retrieval"  # a reference image that looks like the query or lies near it
     PRIOR = "prior"  # the prior, completed from reference images if it is partial
 

@@ -17,7 +17,7 @@ from objconnect.scene.localizer import Prior
 
 _DOWN: Final = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
 
-ALTITUDE_RATIOS: Final = (0.5, 0.61, 0.74, 0.91, 1.1, 1.35, 1.64, 2.0)
+ALTITUDE_RATIOS: Final = (0.5, 0.6, 0.72, 0.87, 1.04, 1.25, 1.5)
 """Heights above ground to try where the altitude is unknown, relative to the height of the map's
 photographs. Each is a fifth larger than the one before, because features tolerate a change of scale
 by a tenth."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -60,11 +60,6 @@ class Mosaic:
             self.mean,
             self.components,
         )
-
-    def first_channels(self, count: int) -> Mosaic:
-        """Return the mosaic with the first principal components only, of unit length."""
-        features, components = self.features[:count], self.components[:, :count]
-        return replace(self, features=normalize(features, dim=0), components=components)
 
     @property
     def is_empty(self) -> bool:

@@ -128,7 +128,7 @@ class Peak(NamedTuple):
 
 
 class MosaicSearch:
-    """Correlates a query with a mosaic, and finds the peaks.
+    """Finds the poses at which a query correlates best with a mosaic.
 
     Args:
         mosaic: mosaic of the map.
@@ -160,6 +160,19 @@ class MosaicSearch:
                 views.append(QueryView(rotation, view, level))
                 advance(len(views))
         return views
+
+    def __call__(
+        self, views: Sequence[QueryView], hypotheses: Hypotheses, count: int
+    ) -> list[Candidate]:
+        """Return the best candidates, best first, at most ``count``.
+
+        Args:
+            views: the query for each pass of the network, from ``extract_views``.
+            hypotheses: headings, altitudes and region to search.
+            count: maximum number of candidates.
+        """
+        peaks = [peak for each in views for peak in self.peaks(each, hypotheses)]
+        return [self.candidate(peak) for peak in self.select(peaks, count)]
 
     @torch.inference_mode()
     def peaks(self, query: QueryView, hypotheses: Hypotheses) -> Iterator[Peak]:
@@ -205,9 +218,12 @@ class MosaicSearch:
         size = (_fast_size(rows + weight.shape[1]), _fast_size(columns + weight.shape[2]))
         spectra = self._spectra(size)
         layers = torch.cat([patch.features * weight[:, None], weight[:, None]], 1)
-        spectrum = torch.fft.rfft2(layers, s=size).conj().resolve_conj()
-        products = spectra * spectrum
-        product = torch.stack([products[:, :-1].sum(1), products[:, -1]])
+        spectrum = torch.fft.rfft2(layers, s=size).conj()
+        products = [
+            torch.einsum("khw,tkhw->thw", spectra[:-1], spectrum[:, :-1]),
+            spectra[-1] * spectrum[:, -1],
+        ]
+        product = torch.stack(products)
         correlation, overlap = torch.fft.irfft2(product, s=size)
         total = weight.sum((1, 2)).clamp_min(_MIN_WEIGHT)[:, None, None]
         scores = correlation / (overlap.clamp_min(1e-6) * total).sqrt()

@@ -1,8 +1,8 @@
 """Localization of an image with an incomplete or missing prior.
 
 SIFT matches, objects of the map, the coarse search and the method of the option ``search.matcher``
-give candidates. Those are refined whose rough alignment has a high peak-to-sidelobe ratio, and the
-best one of each but the coarse search. The first probable refined pose ends the search.
+give candidates. The best candidate of each is refined, then its other candidates whose rough
+alignment has a high peak-to-sidelobe ratio. The first probable refined pose ends the search.
 """
 
 from __future__ import annotations
@@ -40,8 +40,6 @@ from objconnect.scene.runtime.progress import progress_within
 
 MATCHES_RADIUS: Final = SearchRadius(1.0, 1.0)
 """Search radius (metres, degrees) around a pose from SIFT matches."""
-# Maximum number of poses of similar map photographs that are candidates.
-_MOST_SIMILAR: Final = 16
 _Find = Callable[[Query, Stopwatch], Iterator[list[Candidate]]]
 
 
@@ -115,7 +113,7 @@ class GlobalSearch:
         options = self.refine.config.search
         tried: list[Candidate] = []
         for candidates in self.find(query, clock):
-            for candidate in self._select_promising(query, candidates, clock, not tried):
+            for candidate in self._select_promising(query, candidates, clock):
                 attempts.append(self._align(query, candidate, clock))
                 tried.append(candidate)
                 if is_probable(attempts, options, rivals):
@@ -133,23 +131,17 @@ class GlobalSearch:
         return self.refine.align_near(query, candidate.pose, clock, radius)
 
     def _select_promising(
-        self, query: Query, candidates: Sequence[Candidate], clock: Stopwatch, at_least_one: bool
+        self, query: Query, candidates: Sequence[Candidate], clock: Stopwatch
     ) -> Iterator[Candidate]:
         """Yield the candidates of a finder that are worth a full alignment.
 
-        The first is often right and is not screened, unless it is from the coarse search. The
-        others are screened only if the first gives no probable pose. With ``at_least_one`` the
-        best is yielded even if none is worth it.
+        The first is often right and is not screened. The others are screened only if the first
+        gives no probable pose.
         """
-        is_screened = not candidates or candidates[0].by is PoseSource.PLACE
-        if not is_screened:
-            yield candidates[0]
-            candidates = candidates[1:]
-        screened = screen_candidates(self.refine, query, candidates, clock)
+        yield from candidates[:1]
+        screened = screen_candidates(self.refine, query, candidates[1:], clock)
         least = self.refine.config.search.least_peak
         promising = [each.candidate for each in screened if each.peak >= least]
-        if at_least_one and is_screened:
-            promising = promising or [each.candidate for each in screened[:1]]
         with progress_within("candidates aligned", len(promising)) as advance:
             for done, candidate in enumerate(promising, 1):
                 yield candidate
@@ -238,4 +230,4 @@ class GlobalSearch:
                 query.prior, self.sparse_map, reference_rows, config.same_place_m
             )
         by = source_of_initial_poses(query.prior)
-        return [Candidate(pose, 0.0, by) for pose in poses[:_MOST_SIMILAR]]
+        return [Candidate(pose, 0.0, by) for pose in poses[: config.place.candidates]]

@@ -89,10 +89,6 @@ class FeatureMap:
             2 * self.stride,
         )
 
-    def first_channels(self, count: int) -> FeatureMap:
-        """Return the map with its first channels only."""
-        return FeatureMap(self.features[:, :count], self.confidence, self.stride)
-
     def sample(self, xy: Tensor) -> tuple[Tensor, Tensor]:
         """Sample unit features (N, C) and confidence (N,) at pixels of the view (N, 2).
 

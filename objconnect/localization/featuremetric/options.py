@@ -42,7 +42,7 @@ class SearchOptions(Config):
         ge=0,
         description="Least peak-to-sidelobe ratio of a rough alignment at which a candidate of a "
         "search is aligned in full; 0 aligns all candidates, which takes longer. The first "
-        "candidate of objects and of ``matcher`` is always aligned in full.",
+        "candidate is always aligned in full.",
     )
     acceptance: AcceptanceModel | None = Field(
         None,

@@ -10,12 +10,12 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from objconnect.localization.coarse.coarse_to_fine import CoarseToFineSearch
 from objconnect.localization.coarse.finder import hypotheses
 from objconnect.localization.coarse.grid import GroundGrid, ground_grid
 from objconnect.localization.coarse.headings import ALTITUDE_RATIOS, tilt_rotations
 from objconnect.localization.coarse.mosaic import Mosaic, empty_mosaic
-from objconnect.localization.coarse.search import Candidate, Hypotheses
+from objconnect.localization.coarse.search import Candidate, Hypotheses, MosaicSearch
+from objconnect.localization.coarse.tilted import TiltedSearch
 from objconnect.localization.featuremetric.maps import FeatureMap
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose, so3_exp
@@ -74,7 +74,7 @@ def search(
 
     The network sees the same whatever it is asked from: turning the picture is its caller's.
     """
-    find = CoarseToFineSearch(mosaic, separation)
+    find = MosaicSearch(mosaic, separation)
     return find(find.extract_views(lambda _: render_view(mosaic, true), tried), tried, count)
 
 
@@ -181,9 +181,9 @@ def test_a_tilted_camera_is_found_between_the_tilts_and_headings_that_are_tried(
     passes = [DOWN @ so3_exp(math.radians(30 * k) * UP) for k in range(12)]
     turns = [math.radians(6 * k) for k in range(-2, 3)]
     flat = Hypotheses(passes, turns, [70.0 * part for part in ALTITUDE_RATIOS])
-    seen = CoarseToFineSearch(mosaic).extract_views(lambda _: render_view(mosaic, true), flat)
-    straight = [off(each.pose, true) for each in CoarseToFineSearch(mosaic)(seen, flat, 16)]
+    seen = MosaicSearch(mosaic).extract_views(lambda _: render_view(mosaic, true), flat)
+    straight = [off(each.pose, true) for each in MosaicSearch(mosaic)(seen, flat, 16)]
     assert straight and all(metres > 8 or degrees > 10 for metres, degrees in straight)
     tilted = replace(flat, tilts=tilt_rotations([15.0, 30.0, 45.0, 60.0]))
-    metres, degrees = off(CoarseToFineSearch(mosaic)(seen, tilted, 1)[0].pose, true)
+    metres, degrees = off(TiltedSearch(mosaic)(seen, tilted, 1)[0].pose, true)
     assert metres < 8 and degrees < 10

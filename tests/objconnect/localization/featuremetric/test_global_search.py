@@ -79,7 +79,6 @@ def search(
     starts: list[float] | None = None,
     matched: float | None = None,
     radii: list[SearchRadius | None] | None = None,
-    by: PoseSource = PoseSource.OBJECTS,
 ) -> GlobalSearch:
     """A search with candidates at these eastings, whose refiner gives these attempts in turn.
 
@@ -95,7 +94,7 @@ def search(
         return next(given)
 
     refine = SimpleNamespace(config=SimpleNamespace(search=OPTIONS), align_near=near)
-    candidates = [Candidate(at(each), 0.0, by) for each in eastings]
+    candidates = [Candidate(at(each), 0.0, PoseSource.PLACE) for each in eastings]
     coarse = SimpleNamespace(find=lambda _: iter([candidates]))
     finder = None
     if matched is not None:
@@ -161,30 +160,6 @@ def test_candidates_of_low_peaks_are_not_aligned(peaks: dict[float, float]) -> N
     found = search(*attempts, eastings=(10, 20, 30), starts=starts)(QUERY, None, Stopwatch())
     assert found is not None and found.status is Status.FALLBACK
     assert starts == [10, 20]
-
-
-def test_all_candidates_of_the_coarse_search_are_screened(peaks: dict[float, float]) -> None:
-    peaks.update({10: 3.6, 20: 1.0, 30: 8.0})
-    starts: list[float] = []
-    made = search(
-        align(30, 0.5),
-        align(10, 0.1),
-        eastings=(10, 20, 30),
-        starts=starts,
-        by=PoseSource.PLACE,
-    )
-    found = made(QUERY, None, Stopwatch())
-    assert found is not None and found.status is Status.FALLBACK
-    assert starts == [30, 10]
-
-
-def test_without_a_high_peak_the_best_candidate_is_aligned(peaks: dict[float, float]) -> None:
-    peaks.update({10: 1.0, 20: 2.0})
-    starts: list[float] = []
-    made = search(align(20, 0.1), eastings=(10, 20), starts=starts, by=PoseSource.PLACE)
-    found = made(QUERY, None, Stopwatch())
-    assert found is not None and found.status is Status.FALLBACK
-    assert starts == [20]
 
 
 def test_another_method_is_asked_last() -> None:
