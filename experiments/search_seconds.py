@@ -21,11 +21,14 @@ import numpy as np
 import torch
 
 from benchmark.cli.arguments import parse_settings
-from benchmark.datasets.dataset import BenchmarkQuery, Dataset
+from benchmark.datasets.dataset import Dataset
 from benchmark.datasets.open import open_datasets
+from benchmark.evaluation.scored_query import score_query
 from benchmark.evaluation.starts import parse_start
+from benchmark.results.query_result import QueryResult
+from benchmark.scoring.score import THRESHOLDS, is_correct, is_false_fix
 from objconnect.methods import create
-from objconnect.scene.localizer import Estimate, Status
+from objconnect.scene.localizer import Status
 from objconnect.scene.runtime.progress import progress_bar
 
 
@@ -34,26 +37,30 @@ class TimedQuery(NamedTuple):
 
     Attributes:
         flight: name of its flight, and of its place if that is not the map's.
+        is_elsewhere: whether the map does not show its place, so that every answer is false.
         seconds: wall-clock seconds.
-        estimate: its estimate.
-        is_right: whether the answer is within 0.5 m and 5 degrees.
-        is_false: whether the answer is wrong by more than 5 m or 10 degrees.
+        result: its answer, with the errors.
     """
 
     flight: str
+    is_elsewhere: bool
     seconds: float
-    estimate: Estimate
-    is_right: bool
-    is_false: bool
+    result: QueryResult
 
+    @property
+    def is_found(self) -> bool:
+        """Whether the answer is within 0.5 m and 5 degrees."""
+        return not self.is_elsewhere and is_correct(self.result, THRESHOLDS[1])
 
-def judge(query: BenchmarkQuery, estimate: Estimate, elsewhere: bool) -> tuple[bool, bool]:
-    """Return whether an answer is right, and whether it is false."""
-    if estimate.status is not Status.OK or estimate.cam_from_world is None:
-        return False, False
-    metres, degrees = (float(e) for e in estimate.cam_from_world.error_to(query.reference))
-    right = metres <= 0.5 and degrees <= 5 and not elsewhere
-    return right, elsewhere or metres > 5 or degrees > 10
+    @property
+    def is_false(self) -> bool:
+        """Whether the answer is a false fix."""
+        return is_false_fix(self.result) or (self.is_elsewhere and self.is_answered)
+
+    @property
+    def is_answered(self) -> bool:
+        """Whether there is an answer."""
+        return self.result.status is Status.OK
 
 
 def summarize(seconds: list[float]) -> str:
@@ -79,7 +86,8 @@ def main() -> None:
     timed: list[TimedQuery] = []
 
     def localize_all(dataset: Dataset) -> None:
-        load = parse_start("none").loader(dataset, dataset.load_map(), cache)
+        sparse_map = dataset.load_map()
+        load = parse_start("none").loader(dataset, sparse_map, cache)
         localizer.localize(load(dataset.queries[0]))  # warm-up
         queries = dataset.queries[:: args.every]
         with progress_bar(dataset.name, len(queries)) as advance:
@@ -88,11 +96,10 @@ def main() -> None:
                 begin = time.perf_counter()
                 estimate = localizer.localize(loaded)
                 seconds = time.perf_counter() - begin
-                elsewhere = dataset is other
-                name = f"{query.group} of {dataset.name}" if elsewhere else query.group
-                timed.append(
-                    TimedQuery(name, seconds, estimate, *judge(query, estimate, elsewhere))
-                )
+                name = f"{query.group} of {dataset.name}" if dataset is other else query.group
+                course = dataset.courses[query.group]
+                result = score_query(query, course, estimate, sparse_map, seconds)
+                timed.append(TimedQuery(name, dataset is other, seconds, result))
                 advance(done)
 
     localize_all(place)
@@ -101,12 +108,11 @@ def main() -> None:
     print("|---|--:|--:|--:|--:|--:|")
     for flight in dict.fromkeys(each.flight for each in timed):
         some = [each for each in timed if each.flight == flight]
-        answered = [e.seconds for e in some if e.estimate.status is Status.OK]
-        others = [e.seconds for e in some if e.estimate.status is not Status.OK]
-        print(
-            f"| {flight} | {len(some)} | {sum(e.is_right for e in some)} "
-            f"| {sum(e.is_false for e in some)} | {summarize(answered)} | {summarize(others)} |"
-        )
+        answered = [each.seconds for each in some if each.is_answered]
+        others = [each.seconds for each in some if not each.is_answered]
+        found, false = sum(each.is_found for each in some), sum(each.is_false for each in some)
+        seconds = f"{summarize(answered)} | {summarize(others)}"
+        print(f"| {flight} | {len(some)} | {found} | {false} | {seconds} |")
 
 
 if __name__ == "__main__":

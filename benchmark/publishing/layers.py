@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from objconnect.scene.bundle.frames import DenseLayers, Frames, Layer
-from objconnect.scene.bundle.thermal import Thermal, counts_path
+from objconnect.scene.bundle.thermal import Thermal, counts_path, read_thermal
 from objconnect.scene.errors import InputError
-from objconnect.scene.storage.images import read_grey
 
 PublishedLayer = Layer | Literal["thermal"]
 
@@ -79,20 +78,18 @@ class SessionLayers:
         """Return whether the session has the layer."""
         return self.thermal is not None if layer == "thermal" else self.dense.has(layer)
 
-    def stored_bytes(self, layers: Sequence[PublishedLayer]) -> int:
-        """Return the bytes that layers take in the scene, compressed.
+    def stored_bytes(self, layer: PublishedLayer) -> int:
+        """Return the bytes that a layer takes in the scene, compressed.
 
         Raises:
             InputError: a thermal picture is missing.
         """
-        return sum(
-            sum(file_size(counts_path(self.images_root, name)) for name in self.frames.names)
-            if layer == "thermal"
-            else self.dense.stored_bytes(layer)
-            for layer in layers
-        )
+        if layer == "thermal":
+            names = self.frames.names
+            return sum(file_size(counts_path(self.images_root, name)) for name in names)
+        return self.dense.stored_bytes(layer)
 
-    def encoded(self, layer: PublishedLayer, index: int) -> bytes:
+    def encode(self, layer: PublishedLayer, index: int) -> bytes:
         """Return the bytes of the layer's file of one frame.
 
         Raises:
@@ -103,9 +100,8 @@ class SessionLayers:
             return encode_layer(layer, self.dense.read(layer, index))
         if self.thermal is None:
             raise InputError(f"{self.images_root} has a session without thermal pictures")
-        path = counts_path(self.images_root, self.frames.names[index])
-        counts = read_grey(path, self.frames.cameras[index], bits=16)
-        return encode_layer(layer, self.thermal.kelvin(counts))
+        name, camera = self.frames.names[index], self.frames.cameras[index]
+        return encode_layer(layer, read_thermal(self.images_root, name, camera, self.thermal))
 
 
 def file_size(path: Path) -> int:

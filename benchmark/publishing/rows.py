@@ -204,7 +204,7 @@ class SceneRows:
         if stored is not None:
             layers = {
                 layer: _picture(
-                    stored.encoded(layer, k),
+                    stored.encode(layer, k),
                     f"{frame.name}.{layer}{LAYER_FILES[layer].suffix}",
                 )
                 for layer in self.layers

@@ -101,7 +101,7 @@ class Source:
         layers = 0
         for session in self.rows.frames if self.rows.layers else ():
             with self.rows.session_layers(session) as stored:
-                layers += stored.stored_bytes(self.rows.layers)
+                layers += sum(stored.stored_bytes(layer) for layer in self.rows.layers)
         return Sizes(
             photographs=sum(self.rows.photograph_bytes(split) for split in SPLITS),
             maps=sum(path.stat().st_size for _, path in self.files),

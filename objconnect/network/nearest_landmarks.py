@@ -42,11 +42,10 @@ class NearestLandmarks:
         )
         landmark = np.zeros(int(labels.max()) + 1, np.int64)
         landmark[labels[row, column]] = np.arange(len(positions))
-        self._landmark = landmark[labels]
         # Around the grid is a landmark that is infinitely far. Coordinates count cells from the
         # corner of this border.
-        border = np.pad(self._landmark, 1, constant_values=len(positions))
-        self._border_shape, self._cells = border.shape, border.ravel()
+        self._padded = np.pad(landmark[labels], 1, constant_values=len(positions))
+        self._landmark = self._padded[1:-1, 1:-1]
         in_cells = np.append((xy - self._origin) / self._cell + 1, [[np.inf, np.inf]], axis=0)
         self._east, self._north = np.ascontiguousarray(in_cells.T, np.float32)
 
@@ -59,7 +58,7 @@ class NearestLandmarks:
         nearest = self._landmark[np.where(is_inside, row, 0), np.where(is_inside, column, 0)]
         return nearest, is_inside
 
-    def sum_weighted(
+    def sum_near(
         self,
         ratio: _Floats,
         offset: _Complex,
@@ -90,17 +89,17 @@ class NearestLandmarks:
         sums = np.zeros(len(position), np.float32)
         for first in range(0, len(sums), _BATCH):
             part = slice(first, first + _BATCH)
-            self._add_weighted(ratios, offsets, poses[:, part], exponent, sums[part])
+            self._add_part(ratios, offsets, poses[:, part], exponent, sums[part])
         return sums
 
-    def _add_weighted(
+    def _add_part(
         self, ratios: _Floats, offsets: _Floats, poses: _Floats, exponent: _Float, sums: _Floats
     ) -> None:
         """Add the weighted ratios (N, M + 1) of all objects to the sums (H,) of poses (4, H).
 
         Arrays are written again for each object, because new ones take half of the time.
         """
-        rows, columns = self._border_shape
+        cells, (rows, columns) = self._padded.ravel(), self._padded.shape
         a, b, east, north = np.ascontiguousarray(poses)
         x, y, work = np.empty((3, len(a)), np.float32)
         cell, nearest = np.empty((2, len(a)), np.int64)
@@ -116,7 +115,7 @@ class NearestLandmarks:
             nearest[:] = np.clip(x, 0, columns - 1, out=work)
             cell += nearest
             # "clip" skips the check of indices, which are in range.
-            np.take(self._cells, cell, out=nearest, mode="clip")
+            np.take(cells, cell, out=nearest, mode="clip")
             x -= np.take(self._east, nearest, out=work, mode="clip")
             y -= np.take(self._north, nearest, out=work, mode="clip")
             np.multiply(x, x, out=x)

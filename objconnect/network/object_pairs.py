@@ -208,9 +208,7 @@ class PairSearch:
         return GroundPoses(np.concatenate(scaled_rotations), np.concatenate(camera_positions))
 
     def _scores(self, offset: _Complex, similarity: ObjectSimilarity, poses: GroundPoses) -> _Real:
-        sums = self._nearest.sum_weighted(
-            similarity.ratio, offset, *poses, sigma_m=_DISTANCE_SIGMA_M
-        )
+        sums = self._nearest.sum_near(similarity.ratio, offset, *poses, sigma_m=_DISTANCE_SIGMA_M)
         return sums / math.sqrt(max(1, len(offset)))
 
     def _refine(

@@ -26,13 +26,12 @@ from objconnect.scene.bundle.manifest import (
     write_json,
 )
 from objconnect.scene.bundle.supplement import ADDED_FEATURES, SUPPLEMENT, is_added_point
-from objconnect.scene.bundle.thermal import counts_path
+from objconnect.scene.bundle.thermal import read_thermal
 from objconnect.scene.errors import InputError
 from objconnect.scene.maps.colmap_files import MODEL_FILES, RIG_FILES, read_model
 from objconnect.scene.maps.sparse_map import MapImage, SparseMap
 from objconnect.scene.storage.digests import sha256_of
 from objconnect.scene.storage.files import require_folder
-from objconnect.scene.storage.images import read_grey
 
 MANIFEST = "scene.json"
 COVISIBILITY = "covisibility.h5"
@@ -194,8 +193,7 @@ class Scene:
         if name not in frames.names:
             raise InputError(f"scene {self.path} has no photograph {name}")
         camera = frames.cameras[frames.names.index(name)]
-        counts = read_grey(counts_path(self.images_root, name), camera, bits=16)
-        return record.kelvin(counts)
+        return read_thermal(self.images_root, name, camera, record)
 
     def layers_of_map(
         self, sparse_map: SparseMap, *layers: Layer

@@ -88,6 +88,15 @@ def write_thermal(root: Path, name: str, counts: NDArray[np.uint16], record: The
             Image.fromarray(pixels).save(partial, "PNG", compress_level=3)
 
 
+def read_thermal(root: Path, name: str, camera: Camera, record: Thermal) -> NDArray[np.float32]:
+    """Read the thermal picture of a photograph as brightness temperatures (H, W), kelvin.
+
+    Raises:
+        InputError: the picture is missing, damaged, or of another size or bit depth than stated.
+    """
+    return record.kelvin(read_grey(counts_path(root, name), camera, bits=16))
+
+
 def check_thermal(root: Path, name: str, camera: Camera, record: Thermal) -> None:
     """Check that both thermal pictures of a photograph are whole, and that they agree.
 

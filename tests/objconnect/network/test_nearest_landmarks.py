@@ -34,7 +34,7 @@ def test_sums_are_those_of_the_nearest_landmarks(
     weight = np.exp(-0.5 * np.square(np.abs(landmarks[rows] - positions) / 1.5)) * is_inside
     expected = (ratio[np.arange(9), rows] * weight).sum(1)
 
-    found = nearest.sum_weighted(ratio, offset, rotation, position, 1.5)
+    found = nearest.sum_near(ratio, offset, rotation, position, 1.5)
     assert not is_inside.all() and np.quantile(expected, 0.6) > 0.1
     np.testing.assert_allclose(found, expected, atol=2e-3)
 
@@ -42,5 +42,5 @@ def test_sums_are_those_of_the_nearest_landmarks(
 def test_no_pose_has_no_sum() -> None:
     none, offset = np.zeros(0, complex), np.array([0j, 1j])
     nearest = NearestLandmarks(np.array([0j, 3 + 4j]))
-    sums = nearest.sum_weighted(np.ones((2, 2), np.float32), offset, none, none, 1.5)
+    sums = nearest.sum_near(np.ones((2, 2), np.float32), offset, none, none, 1.5)
     assert sums.shape == (0,)
