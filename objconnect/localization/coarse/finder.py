@@ -26,7 +26,6 @@ from objconnect.localization.coarse.headings import (
 )
 from objconnect.localization.coarse.mosaic import Mosaic, empty_mosaic, make_mosaic
 from objconnect.localization.coarse.search import UP, Candidate, Hypotheses, MosaicSearch
-from objconnect.localization.coarse.tilted import TiltedSearch
 from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
 from objconnect.localization.resolution import (
     map_resolution,
@@ -73,7 +72,7 @@ class CoarseSearchOptions(TiltOptions):
     """Options of the coarse search."""
 
     candidates: int = Field(
-        16,
+        6,
         ge=0,
         description="Maximum number of candidates at the known attitude, or at the first of "
         "``tilts_deg``, and again at all other tilts together; 0 for no coarse search.",
@@ -116,7 +115,6 @@ class CoarseSearch:
         )
         self._mosaic = store.make(0, Mosaic.ARRAYS, Mosaic.of).to(self._extract.device)
         self._search = MosaicSearch(self._mosaic)
-        self._search_tilted = TiltedSearch(self._mosaic)
 
     def _make_mosaic(self, sparse_map: SparseMap, images: Path) -> Mosaic:
         def extract(image: MapImage) -> tuple[WarpedImage, FeatureMap]:
@@ -147,7 +145,7 @@ class CoarseSearch:
         views = self._search.extract_views(partial(self._extract_for, query), tried)
         yield self._search(views, tried, self._options.candidates)
         if others and not has_attitude(query.prior):
-            yield self._search_tilted(views, replace(tried, tilts=others), self._options.candidates)
+            yield self._search(views, replace(tried, tilts=others), self._options.candidates)
 
     def _extract_for(self, query: Query, pose: Pose) -> tuple[WarpedImage, FeatureMap]:
         """Warp a query for a pose, and compute its features of the coarsest level."""

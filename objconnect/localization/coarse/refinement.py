@@ -14,12 +14,16 @@ from typing import Final, NamedTuple
 import torch
 from torch import Tensor
 
-from objconnect.localization.coarse.mosaic import Mosaic
-from objconnect.localization.coarse.search import MAX_DISTANCE, MIN_OVERLAP
+from objconnect.localization.coarse.correlation import MosaicSampler
 from objconnect.localization.featuremetric.maps import FeatureMap
 from objconnect.scene.geometry.pose import so3_exp
 from objconnect.scene.geometry.views import WarpedImage
 
+MIN_OVERLAP: Final = 0.3
+"""A candidate needs at least this share of the query's confidence on known cells of the mosaic."""
+# Ground is used up to this horizontal distance, in heights of the camera above ground. Few pixels
+# show ground that is farther away.
+_MAX_DISTANCE: Final = 2.0
 # Initial steps of the tilt and the heading (rad), of the logarithm of the altitude, of the roll
 # (rad), and of the position (cells). They are halved in each round.
 _TILT_STEP: Final = math.radians(6)
@@ -66,13 +70,16 @@ class ViewScorer:
     """Scores poses of a query by comparing its features, projected to the ground, with the mosaic.
 
     Args:
-        mosaic: mosaic of the map.
+        sampler: compares features with the mosaic of the map.
         view: the warped query.
         level: its features, reduced to the mosaic's channels.
+
+    Attributes:
+        features: (N, K) unit features of the query's cells.
     """
 
-    def __init__(self, mosaic: Mosaic, view: WarpedImage, level: FeatureMap) -> None:
-        self._mosaic = mosaic
+    def __init__(self, sampler: MosaicSampler, view: WarpedImage, level: FeatureMap) -> None:
+        self._sampler, self._grid = sampler, sampler.mosaic.grid
         rows, columns = level.features.shape[-2:]
         steps = torch.meshgrid(torch.arange(rows), torch.arange(columns), indexing="ij")
         xy = (torch.stack([steps[1], steps[0]], -1).reshape(-1, 2) + 0.5) * float(level.stride)
@@ -84,13 +91,13 @@ class ViewScorer:
         self._rays = in_view.double() @ torch.from_numpy(view.view_from_camera)
         self._weight = weight[used].double()
         unit = torch.nn.functional.normalize(level.features[0].flatten(1).T.float(), dim=1)
-        self._features = unit[used.to(unit.device)]
+        self.features = unit[used.to(unit.device)]
         focal = sum(view.camera.focal) / 2
-        self._area = (level.stride / (focal * mosaic.grid.cell)) ** 2
+        self._area = (level.stride / (focal * self._grid.cell)) ** 2
 
     def refine(self, poses: CoarsePoses) -> tuple[CoarsePoses, Tensor, Tensor]:
         """Return poses (P) refined, their centres east and north (P, 2), and their scores (P,)."""
-        cell = self._mosaic.grid.cell
+        cell = self._grid.cell
         signs = torch.tensor(list(product((-1, 0, 1), repeat=3)), dtype=torch.float64)
         zero = torch.zeros(len(signs), dtype=torch.float64)
         a, b, c = signs.unbind(1)
@@ -111,30 +118,19 @@ class ViewScorer:
 
     def score(self, poses: CoarsePoses) -> tuple[Tensor, Tensor]:
         """Return the scores (P,) of poses, at most 1, and their centres (P, 2), world metres."""
-        ground, weight = self._project_to_ground(poses.rotation, poses.altitude)
-        centre = poses.middle - _middle(ground, weight)
-        grid = self._mosaic.grid
-        rows, columns = grid.shape
-        origin = torch.from_numpy(grid.origin)
-        size = torch.tensor([columns, rows]) * grid.cell
-        position = 2 * (centre[:, None] + ground - origin) / size - 1
-        layers = torch.cat([self._mosaic.features, self._mosaic.known[None]])[None]
-        sampled = torch.nn.functional.grid_sample(
-            layers, position.float()[None].to(layers.device), align_corners=False
-        )[0]
-        weight = weight.float().to(layers.device)
-        # Between cells the mean of unit vectors is shorter.
-        unit = torch.nn.functional.normalize(sampled[:-1], dim=0) * sampled[-1]
-        cosine = torch.einsum("kpn,nk->pn", unit, self._features)
-        total, known = weight.sum(1), (weight * sampled[-1]).sum(1)
-        score = (weight * cosine).sum(1) / (known * total).clamp_min(1e-6).sqrt()
+        ground, weight = self.project_to_ground(poses.rotation, poses.altitude)
+        centre = poses.middle - middle(ground, weight)
+        position = (
+            centre[:, None] + ground - torch.from_numpy(self._grid.origin)
+        ) / self._grid.cell
+        device = self.features.device
+        weight, position = weight.float().to(device), (position - 0.5).float().to(device)
+        sums, known = self._sampler.compare(self.features, position, weight)
+        total = weight.sum(1)
+        score = sums / (known * total).clamp_min(1e-6).sqrt()
         return torch.where(known > MIN_OVERLAP * total, score, -1.0).cpu(), centre
 
-    def middle_of(self, rotation: Tensor, altitude: Tensor) -> Tensor:
-        """Return the middle of the ground in view (P, 2), metres from the camera."""
-        return _middle(*self._project_to_ground(rotation, altitude))
-
-    def _project_to_ground(self, rotation: Tensor, altitude: Tensor) -> tuple[Tensor, Tensor]:
+    def project_to_ground(self, rotation: Tensor, altitude: Tensor) -> tuple[Tensor, Tensor]:
         """Project the view's cells to level ground, (P, N, 2) metres from the camera, with weights.
 
         The weight of a cell is multiplied by the number of the mosaic's cells that it covers, at
@@ -144,12 +140,13 @@ class ViewScorer:
         down = -directions[..., 2]
         depth = altitude[:, None] / down.clamp_min(1e-6)
         ground = directions[..., :2] * depth[..., None]
-        near = (down > 1e-6) & (ground.norm(dim=-1) <= MAX_DISTANCE * altitude[:, None])
+        near = (down > 1e-6) & (ground.norm(dim=-1) <= _MAX_DISTANCE * altitude[:, None])
         cells = self._area * depth**3 / altitude[:, None]
         weight = self._weight * cells.clamp(max=1.0) * near
         return torch.where(near[..., None], ground, 0.0), weight
 
 
-def _middle(ground: Tensor, weight: Tensor) -> Tensor:
+def middle(ground: Tensor, weight: Tensor) -> Tensor:
+    """Return the weighted mean (P, 2) of positions on the ground (P, N, 2)."""
     total = weight.sum(1, keepdim=True).clamp_min(1e-9)
     return (weight[..., None] * ground).sum(1) / total

@@ -1,4 +1,4 @@
-"""Correlation of a query with a mosaic over headings, altitudes and, by FFT, all positions.
+"""Correlation of a query with a mosaic over headings, altitudes, tilts and all positions.
 
 A mosaic holds the features of every cell of the ground; a cell is known if a photograph shows it.
 """
@@ -10,33 +10,29 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from objconnect.localization.coarse.correlation import MosaicSampler, sum_shifted
+from objconnect.localization.coarse.grid import GroundGrid
 from objconnect.localization.coarse.headings import NO_TILT
 from objconnect.localization.coarse.mosaic import Mosaic
+from objconnect.localization.coarse.refinement import MIN_OVERLAP, CoarsePoses, ViewScorer, middle
 from objconnect.localization.featuremetric.maps import FeatureMap
 from objconnect.scene.geometry.pose import Pose, so3_exp
 from objconnect.scene.geometry.views import WarpedImage
 from objconnect.scene.localizer import PoseSource
 from objconnect.scene.runtime.progress import progress_within
-from objconnect.scene.storage.lru_cache import MEGABYTE, LruCache
 
-MAX_DISTANCE: Final = 2.0
-"""Ground is used up to this horizontal distance, in heights of the camera above ground. Few pixels
-show ground that is farther away."""
-MIN_OVERLAP: Final = 0.3
-"""A candidate needs at least this share of the query's confidence on known cells of the mosaic."""
 UP: Final = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
 # Number of peaks of the correlation that are kept for each pass of the network, tilt and altitude.
 _PEAKS: Final = 3
-# The height and width of a query projected to the ground are rounded up to multiples of this many
-# cells.
-_PATCH_MULTIPLE: Final = 16
-# Memory for Fourier transforms of the mosaic, one for each size of a query projected to the ground.
-_SPECTRA_MB: Final = 128
+# Number of peaks that are refined, times one plus the number of times that the mosaic is halved.
+_NUM_REFINED: Final = 48
+# A mosaic of more cells is searched at half its resolution, repeatedly. It bounds time and memory.
+_MOST_CELLS: Final = 128**2
+# The share of the query on known ground is computed from every n-th of its cells.
+_KNOWN_EVERY: Final = 4
 # Numerical guard: least sum of confidence over the cells of a query.
 _MIN_WEIGHT: Final = 1e-3
 
@@ -74,21 +70,6 @@ class Hypotheses:
     altitudes: Sequence[float]
     region: tuple[float, float, float] | None = None
     tilts: Sequence[Tensor] = (NO_TILT,)
-
-
-class _GroundPatch(NamedTuple):
-    """A query projected to the ground under T headings.
-
-    Attributes:
-        features: (T, K, h, w) of unit length or 0.
-        confidence: (T, h, w) weights of the cells.
-        first: (2,) metres to the east and north, from the camera to the centre of the south-western
-            cell.
-    """
-
-    features: Tensor
-    confidence: Tensor
-    first: NDArray[np.float64]
 
 
 Extract = Callable[[Pose], tuple[WarpedImage, FeatureMap]]
@@ -130,15 +111,22 @@ class Peak(NamedTuple):
 class MosaicSearch:
     """Finds the poses at which a query correlates best with a mosaic.
 
+    All hypotheses are compared at the positions of the mosaic's cells, in a large mosaic at a lower
+    resolution. The best peaks are refined in six dimensions at full resolution.
+
     Args:
         mosaic: mosaic of the map.
         separation: least horizontal distance between candidates, metres.
     """
 
     def __init__(self, mosaic: Mosaic, separation: float = 12.0) -> None:
-        self._mosaic = mosaic
+        self._mosaic, self._sampler = mosaic, MosaicSampler(mosaic)
         self._separation = separation
-        self._spectra = LruCache(self._spectrum, _SPECTRA_MB * MEGABYTE)
+        # Mosaics from full resolution to that which is searched.
+        self._halved = [mosaic]
+        while self._halved[-1].known.numel() > _MOST_CELLS:
+            self._halved.append(self._halved[-1].halve())
+        self._rough_sampler = MosaicSampler(self._halved[-1])
 
     @torch.inference_mode()
     def extract_views(self, extract: Extract, hypotheses: Hypotheses) -> list[QueryView]:
@@ -161,6 +149,7 @@ class MosaicSearch:
                 advance(len(views))
         return views
 
+    @torch.inference_mode()
     def __call__(
         self, views: Sequence[QueryView], hypotheses: Hypotheses, count: int
     ) -> list[Candidate]:
@@ -168,28 +157,91 @@ class MosaicSearch:
 
         Args:
             views: the query for each pass of the network, from ``extract_views``.
-            hypotheses: headings, altitudes and region to search.
+            hypotheses: headings, altitudes, tilts and region to search.
             count: maximum number of candidates.
         """
-        peaks = [peak for each in views for peak in self.peaks(each, hypotheses)]
-        return [self.candidate(peak) for peak in self.select(peaks, count)]
+        scorers = [ViewScorer(self._sampler, each.view, each.level) for each in views]
+        rough = [list(self._peaks(each, hypotheses)) for each in views]
+        number = _NUM_REFINED * len(self._halved)
+        best = self._select([peak for peaks in rough for peak in peaks], number)
+        chosen = {id(peak) for peak in best}
+        refined = [
+            peak
+            for scorer, peaks in zip(scorers, rough, strict=True)
+            for peak in self._refine(scorer, [each for each in peaks if id(each) in chosen])
+            if _is_inside(peak, hypotheses.region)
+        ]
+        return [self._candidate(peak) for peak in self._select(refined, count)]
 
-    @torch.inference_mode()
-    def peaks(self, query: QueryView, hypotheses: Hypotheses) -> Iterator[Peak]:
+    def _peaks(self, query: QueryView, hypotheses: Hypotheses) -> Iterator[Peak]:
         """Yield the peaks of one view of the query, for each tilt and altitude."""
-        turns = torch.tensor(hypotheses.turns, dtype=torch.float64)
+        level = query.level
+        for _ in self._halved[1:]:
+            level = level.halve()
+        scorer = ViewScorer(self._rough_sampler, query.view, level)
+        mosaic = self._halved[-1]
+        grid, known = mosaic.grid, mosaic.known
+        planes = (scorer.features @ mosaic.features.flatten(1)).view(-1, *grid.shape)
+        turns = so3_exp(torch.tensor(hypotheses.turns, dtype=torch.float64)[:, None] * UP)
+        altitude = torch.tensor(hypotheses.altitudes, dtype=torch.float64)
+        altitudes = altitude.repeat_interleave(len(turns))
         for tilt in hypotheses.tilts:
-            rotations = tilt @ query.rotation @ so3_exp(turns[:, None] * UP)
-            footprint = self._footprint(query.view, rotations)
-            for altitude in hypotheses.altitudes:
-                patch = self._project_to_ground(
-                    query.view, query.level, rotations, footprint, altitude
-                )
-                if patch is not None:
-                    for score, x, y, turn in self._correlate(patch, hypotheses.region):
-                        yield Peak(score, x, y, altitude, rotations[turn])
+            rotations = (tilt @ query.rotation @ turns).repeat(len(altitude), 1, 1)
+            ground, weight = scorer.project_to_ground(rotations, altitudes)
+            to_middle = middle(ground, weight)
+            shifts = ((ground - to_middle[:, None]) / grid.cell).round().int().to(known.device)
+            weights = weight.float().to(known.device)
+            sums, overlaps = sum_shifted(planes, known, shifts, weights, _KNOWN_EVERY)
+            total = weights.sum(1).clamp_min(_MIN_WEIGHT)[:, None, None]
+            compared = weights[:, ::_KNOWN_EVERY].sum(1).clamp_min(_MIN_WEIGHT)[:, None, None]
+            share = overlaps / compared
+            scores = (sums / (share.sqrt() * total)).masked_fill_(share < MIN_OVERLAP, -1.0).cpu()
+            first = torch.from_numpy(grid.origin) + grid.cell / 2 - to_middle
+            if hypotheses.region is not None:
+                scores[_distance_from(hypotheses.region, first, grid) > hypotheses.region[2]] = -1.0
+            yield from self._find_peaks(scores, first, rotations, hypotheses.altitudes)
 
-    def select(self, peaks: Sequence[Peak], count: int) -> list[Peak]:
+    def _find_peaks(
+        self, scores: Tensor, first: Tensor, rotations: Tensor, altitudes: Sequence[float]
+    ) -> Iterator[Peak]:
+        """Yield the highest peaks at each altitude, over all turns.
+
+        Args:
+            scores: (A * T, H, W) for A altitudes and T turns; at most 0 where there is no peak.
+            first: (A * T, 2) position of the camera for the south-western cell, world metres.
+            rotations: (A * T, 3, 3) ``cam_from_world``.
+            altitudes: A heights above ground, metres.
+        """
+        grid, count = self._halved[-1].grid, len(altitudes)
+        rows, columns = grid.shape
+        best = scores.view(count, -1, rows, columns).max(1)
+        score, turn = best.values.numpy(), best.indices.numpy()
+        cells = max(1, round(self._separation / grid.cell))
+        for k, altitude in enumerate(altitudes):
+            for _ in range(_PEAKS):
+                row, column = divmod(int(score[k].argmax()), columns)
+                value = float(score[k, row, column])
+                if value <= 0:
+                    break
+                hypothesis = k * (len(scores) // count) + int(turn[k, row, column])
+                x, y = (first[hypothesis] + grid.cell * torch.tensor([column, row])).tolist()
+                yield Peak(value, x, y, altitude, rotations[hypothesis])
+                south, west = max(0, row - cells), max(0, column - cells)
+                score[k, south : row + cells + 1, west : column + cells + 1] = -1.0
+
+    def _refine(self, scorer: ViewScorer, peaks: Sequence[Peak]) -> Iterator[Peak]:
+        """Yield the peaks of one view of the query, refined."""
+        if not peaks:
+            return
+        rotation = torch.stack([peak.rotation for peak in peaks])
+        altitude = torch.tensor([peak.altitude for peak in peaks], dtype=torch.float64)
+        centre = torch.tensor([[peak.x, peak.y] for peak in peaks], dtype=torch.float64)
+        to_middle = middle(*scorer.project_to_ground(rotation, altitude))
+        poses, centres, scores = scorer.refine(CoarsePoses(rotation, altitude, centre + to_middle))
+        for k, (x, y) in enumerate(centres.tolist()):
+            yield Peak(float(scores[k]), x, y, float(poses.altitude[k]), poses.rotation[k])
+
+    def _select(self, peaks: Sequence[Peak], count: int) -> list[Peak]:
         """Return the best peaks, best first, without those nearer than ``separation`` to a better
         one."""
         kept: list[Peak] = []
@@ -200,156 +252,27 @@ class MosaicSearch:
                     break
         return kept
 
-    def candidate(self, peak: Peak) -> Candidate:
+    def _candidate(self, peak: Peak) -> Candidate:
         """Return a peak as a candidate."""
         z = self._mosaic.grid.height_at(peak.x, peak.y) + peak.altitude
         centre = torch.tensor([peak.x, peak.y, z], dtype=torch.float64)
         return Candidate(Pose(peak.rotation, -peak.rotation @ centre), peak.score)
 
-    def _correlate(
-        self, patch: _GroundPatch, region: tuple[float, float, float] | None
-    ) -> Iterator[tuple[float, float, float, int]]:
-        """Yield the peaks of the normalized correlation of a patch with the mosaic, best first.
 
-        Each is its score, east and north (world metres), and the row of its heading in the patch.
-        """
-        grid, weight = self._mosaic.grid, patch.confidence
-        rows, columns = grid.shape
-        size = (_fast_size(rows + weight.shape[1]), _fast_size(columns + weight.shape[2]))
-        spectra = self._spectra(size)
-        layers = torch.cat([patch.features * weight[:, None], weight[:, None]], 1)
-        spectrum = torch.fft.rfft2(layers, s=size).conj()
-        products = [
-            torch.einsum("khw,tkhw->thw", spectra[:-1], spectrum[:, :-1]),
-            spectra[-1] * spectrum[:, -1],
-        ]
-        product = torch.stack(products)
-        correlation, overlap = torch.fft.irfft2(product, s=size)
-        total = weight.sum((1, 2)).clamp_min(_MIN_WEIGHT)[:, None, None]
-        scores = correlation / (overlap.clamp_min(1e-6) * total).sqrt()
-        scores[overlap < MIN_OVERLAP * total] = -1.0
-        score, turn = scores.max(0)
-        # Shifts beyond the grid are those to the south and west.
-        north = torch.arange(size[0], device=score.device)
-        east = torch.arange(size[1], device=score.device)
-        y = grid.origin[1] + (north - size[0] * (north >= rows) + 0.5) * grid.cell - patch.first[1]
-        x = grid.origin[0] + (east - size[1] * (east >= columns) + 0.5) * grid.cell - patch.first[0]
-        if region is not None:
-            distance = torch.hypot(x[None] - region[0], y[:, None] - region[1])
-            score[distance > region[2]] = -1.0
-        cells = max(1, round(self._separation / grid.cell))
-        around = torch.arange(-cells, cells + 1, device=score.device)
-        for _ in range(_PEAKS):
-            row, column = divmod(int(score.argmax()), size[1])
-            value = float(score[row, column])
-            if value <= 0:
-                return
-            yield value, float(x[column]), float(y[row]), int(turn[row, column])
-            score[(row + around)[:, None] % size[0], (column + around)[None] % size[1]] = -1.0
+def _distance_from(region: tuple[float, float, float], first: Tensor, grid: GroundGrid) -> Tensor:
+    """Return the distances (T, H, W) of cameras from the centre of a region, metres.
 
-    def _spectrum(self, size: tuple[int, int]) -> Tensor:
-        """Return the Fourier transforms of the mosaic's channels and, last, of its known cells."""
-        layers = torch.cat([self._mosaic.features, self._mosaic.known[None]])
-        spectrum: Tensor = torch.fft.rfft2(layers, s=size)
-        return spectrum
-
-    def _project_to_ground(
-        self,
-        view: WarpedImage,
-        level: FeatureMap,
-        rotations: Tensor,
-        footprint: NDArray[np.float64],
-        altitude: float,
-    ) -> _GroundPatch | None:
-        """Project the query's features to level ground; return None if the query shows no ground.
-
-        The confidence of a cell on the ground is multiplied by the number of cells of the feature
-        map that it covers, at most one, because a far cell covers only a few pixels.
-
-        Args:
-            view: the warped query.
-            level: its features, reduced to the mosaic's channels.
-            rotations: (T, 3, 3) ``cam_from_world`` of the photograph.
-            footprint: (2, 2) corners from ``_footprint``.
-            altitude: metres above the ground.
-        """
-        cell = self._mosaic.grid.cell
-        low, high = footprint * altitude
-        if not (np.isfinite(low).all() and (high > low).all()):
-            return None
-        first = np.floor(low / cell) * cell + cell / 2
-        columns, rows = np.maximum(np.ceil((high - first) / cell), 1).astype(int).tolist()
-        x, y = np.meshgrid(first[0] + np.arange(columns) * cell, first[1] + np.arange(rows) * cell)
-        # Rounded up, so that transforms have few sizes.
-        rows, columns = (
-            _PATCH_MULTIPLE * math.ceil(side / _PATCH_MULTIPLE) for side in (rows, columns)
-        )
-        near = np.hypot(x, y) <= MAX_DISTANCE * altitude
-        ground = torch.from_numpy(np.stack([x[near], y[near], np.full(near.sum(), -altitude)], -1))
-        cell_index = torch.from_numpy(np.flatnonzero(np.pad(near, _padding(near, rows, columns))))
-        view_from_camera = torch.from_numpy(view.view_from_camera)
-        in_view = ground @ (view_from_camera @ rotations).mT
-        projected = view.camera.project(in_view)
-        xy = projected.xy
-        inside = projected.valid & view.camera.contains(xy)
-        inside &= torch.from_numpy(view.shows(xy.numpy()))
-        if not bool(inside.any()):
-            return None
-        features, confidence = level.sample(xy[inside].float())
-        focal = float(np.mean(view.camera.focal))
-        area = (focal * cell) ** 2 * altitude / in_view[inside][:, 2] ** 3  # pixels of a cell
-        device = features.device
-        confidence = confidence * (area / level.stride**2).clamp(max=1.0).float().to(device)
-        if not float(confidence.sum()) > _MIN_WEIGHT:
-            return None
-        turn, near_cell = torch.nonzero(inside, as_tuple=True)
-        turn, cells = turn.to(device), cell_index[near_cell].to(device)
-        patch = features.new_zeros(len(rotations), rows * columns, features.shape[1])
-        weight = features.new_zeros(len(rotations), rows * columns)
-        patch[turn, cells] = features
-        weight[turn, cells] = confidence
-        return _GroundPatch(
-            patch.mT.reshape(len(rotations), -1, rows, columns),
-            weight.reshape(-1, rows, columns),
-            first,
-        )
-
-    def _footprint(self, view: WarpedImage, rotations: Tensor) -> NDArray[np.float64]:
-        """Return the south-western and north-eastern corner (2, 2) of the ground in a view.
-
-        The footprint covers all rotations (T, 3, 3) up to ``MAX_DISTANCE``. It is relative to the
-        camera, in units of the camera's height above ground; NaN if no pixel can be
-        unprojected.
-        """
-        camera = view.camera
-        steps = np.linspace(0.0, 1.0, 9)
-        u, v = np.meshgrid(steps * camera.width, steps * camera.height)
-        edge = torch.from_numpy(np.stack([u, v], -1).reshape(-1, 2))
-        rays, valid = camera.unproject(edge)
-        if not bool(valid.any()):
-            return np.full((2, 2), np.nan)
-        view_from_world = torch.from_numpy(view.view_from_camera) @ rotations
-        directions = (rays[valid].double() @ view_from_world).reshape(-1, 3).numpy()
-        horizontal = np.hypot(directions[:, 0], directions[:, 1])
-        down = -directions[:, 2]
-        distance = np.where(down > 1e-6, horizontal / np.maximum(down, 1e-6), np.inf)
-        distance = np.minimum(distance, MAX_DISTANCE)
-        ground = directions[:, :2] / np.maximum(horizontal, 1e-9)[:, None] * distance[:, None]
-        return np.stack([ground.min(0), ground.max(0)])
+    Args:
+        region: centre (east, north) and radius, metres.
+        first: (T, 2) positions of the cameras for the south-western cell, world metres.
+        grid: the cells.
+    """
+    rows, columns = grid.shape
+    x = first[:, :1] + grid.cell * torch.arange(columns) - region[0]
+    y = first[:, 1:] + grid.cell * torch.arange(rows) - region[1]
+    return torch.hypot(x[:, None], y[:, :, None])
 
 
-def _padding(cells: NDArray[np.bool_], rows: int, columns: int) -> list[tuple[int, int]]:
-    """Return the widths for ``np.pad`` that extend cells (h, w) north and east to a size."""
-    return [(0, rows - cells.shape[0]), (0, columns - cells.shape[1])]
-
-
-def _fast_size(size: int) -> int:
-    """Return the least number from ``size`` on with no prime factors but 2, 3 and 5."""
-    while True:
-        rest = size
-        for factor in (2, 3, 5):
-            while rest % factor == 0:
-                rest //= factor
-        if rest == 1:
-            return size
-        size += 1
+def _is_inside(peak: Peak, region: tuple[float, float, float] | None) -> bool:
+    """Return whether a peak lies in the region to search, which refinement may leave."""
+    return region is None or math.hypot(peak.x - region[0], peak.y - region[1]) <= region[2]

@@ -51,7 +51,8 @@ class Evidence:
 
     Attributes:
         peak: peak-to-sidelobe ratio: (gain over chance at the pose - mean gain at the shifts) /
-            standard deviation of the gain at the shifts.
+            standard deviation of the gain at the shifts; NaN if the picture is too small to be
+            shifted.
         halves: median distance between the points projected by the poses of two halves of the
             picture, cells of the finest level; infinite if a half has no pose.
         curvature: curvature of the cost around the pose, as a share of Gauss-Newton's
@@ -90,6 +91,8 @@ def measure_evidence(problem: Problem, pose: Pose, curvature: float) -> Evidence
 def peak_to_sidelobe(problem: Problem, pose: Pose) -> float:
     """Return the peak-to-sidelobe ratio ``Evidence.peak`` on the middle level.
 
+    It is 0 if too few points are in view.
+
     Args:
         problem: the alignment problem of one image.
         pose: ``cam_from_world``, batched (1).
@@ -105,8 +108,10 @@ def peak_to_sidelobe(problem: Problem, pose: Pose) -> float:
     unshifted = int(length.argmin())
     is_sidelobe = (length >= _CORE_CELLS) & (in_view >= _MIN_SHARE * in_view[unshifted])
     sidelobe = gain[is_sidelobe]
-    if len(sidelobe) < _MIN_COUNT or in_view[unshifted] < _MIN_COUNT:
+    if in_view[unshifted] < _MIN_COUNT:
         return 0.0
+    if len(sidelobe) < _MIN_COUNT:
+        return math.nan
     return float((gain[unshifted] - sidelobe.mean()) / sidelobe.std().clamp_min(1e-12))
 
 

@@ -7,6 +7,7 @@ alignment has a high peak-to-sidelobe ratio. The first probable refined pose end
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Protocol
@@ -32,14 +33,23 @@ from objconnect.localization.featuremetric.options import SearchOptions
 from objconnect.localization.featuremetric.priors import has_position, is_near_prior
 from objconnect.localization.featuremetric.references import FeatureObserver, ReferenceSource
 from objconnect.localization.featuremetric.refiner import Refiner
-from objconnect.localization.featuremetric.screening import screen_candidates
+from objconnect.localization.featuremetric.screening import ScreenedCandidate, screen
 from objconnect.localization.initial_poses import list_initial_poses, source_of_initial_poses
+from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.localizer import Estimate, PoseSource, Query, Stopwatch
 from objconnect.scene.maps.sparse_map import SparseMap
 from objconnect.scene.runtime.progress import progress_within
 
 MATCHES_RADIUS: Final = SearchRadius(1.0, 1.0)
 """Search radius (metres, degrees) around a pose from SIFT matches."""
+# A candidate is refined before the others are screened if its peak-to-sidelobe ratio is at least
+# this many times ``search.least_peak``.
+_CLEAR_PEAK: Final = 1.5
+# Errors of a candidate up to which its aligned pose is the answer: metres and degrees. They are
+# those of a usual prior, from which an image is aligned once.
+_NEAR: Final = SearchRadius(3.0, 5.0)
+# Maximum number of poses of similar map photographs that are candidates.
+_MOST_SIMILAR: Final = 16
 _Find = Callable[[Query, Stopwatch], Iterator[list[Candidate]]]
 
 
@@ -117,9 +127,10 @@ class GlobalSearch:
                 attempts.append(self._align(query, candidate, clock))
                 tried.append(candidate)
                 if is_probable(attempts, options, rivals):
-                    # Warped from the new pose, the image is rotated and scaled better.
                     best, _ = select_likeliest(attempts)
-                    attempts.append(self.refine.align_near(query, best.pose, clock))
+                    if best is not attempts[-1] or not _is_near(candidate.pose, best.pose):
+                        # Warped from the new pose, the image is rotated and scaled better.
+                        attempts.append(self.refine.align_near(query, best.pose, clock))
                     return self._select_best(attempts, candidate, clock, rivals)
         if self.coarse is None or not tried:
             return None
@@ -135,17 +146,24 @@ class GlobalSearch:
     ) -> Iterator[Candidate]:
         """Yield the candidates of a finder that are worth a full alignment.
 
-        The first is often right and is not screened. The others are screened only if the first
-        gives no probable pose.
+        The first is often right and is not screened. The others are screened in their order, if the
+        first gives no probable pose. One with a clear peak, or in a picture too small for
+        screening, is yielded at once, the others of at least ``search.least_peak`` with the highest
+        peak first.
         """
         yield from candidates[:1]
-        screened = screen_candidates(self.refine, query, candidates[1:], clock)
         least = self.refine.config.search.least_peak
-        promising = [each.candidate for each in screened if each.peak >= least]
-        with progress_within("candidates aligned", len(promising)) as advance:
-            for done, candidate in enumerate(promising, 1):
-                yield candidate
+        others: list[ScreenedCandidate] = []
+        with progress_within("candidates", len(candidates)) as advance:
+            for done, candidate in enumerate(candidates[1:], 2):
+                screened = screen(self.refine, query, candidate, clock)
+                if math.isnan(screened.peak) or screened.peak >= _CLEAR_PEAK * least:
+                    yield candidate
+                elif screened.peak >= least:
+                    others.append(screened)
                 advance(done)
+        for each in sorted(others, key=lambda each: -each.peak):
+            yield each.candidate
 
     def find(self, query: Query, clock: Stopwatch) -> Iterator[list[Candidate]]:
         """Yield the candidates of each finder, in the order in which they are tried."""
@@ -230,4 +248,10 @@ class GlobalSearch:
                 query.prior, self.sparse_map, reference_rows, config.same_place_m
             )
         by = source_of_initial_poses(query.prior)
-        return [Candidate(pose, 0.0, by) for pose in poses[: config.place.candidates]]
+        return [Candidate(pose, 0.0, by) for pose in poses[:_MOST_SIMILAR]]
+
+
+def _is_near(start: Pose, pose: Pose) -> bool:
+    """Return whether an alignment moved a candidate so little that the image fits the new pose."""
+    metres, degrees = start.error_to(pose)
+    return bool(metres <= _NEAR.metres and degrees <= _NEAR.degrees)

@@ -7,7 +7,6 @@ map's photographs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -25,32 +24,36 @@ values 1, 1.5 and 2, 1.5 ranks right candidates best (``python -m experiments.sc
 
 @dataclass(frozen=True)
 class ScreenedCandidate:
-    """A candidate and the peak-to-sidelobe ratio (``Evidence.peak``) of its rough alignment."""
+    """A candidate and the peak-to-sidelobe ratio (``Evidence.peak``) of its rough alignment.
+
+    The ratio is NaN if the picture is too small to measure it.
+    """
 
     candidate: Candidate
     peak: float
 
 
-def screen_candidates(
-    refine: Refiner, query: Query, candidates: Sequence[Candidate], clock: Stopwatch
-) -> list[ScreenedCandidate]:
-    """Align candidates roughly, and return them with the highest peak first.
+def screen(
+    refine: Refiner, query: Query, candidate: Candidate, clock: Stopwatch
+) -> ScreenedCandidate:
+    """Align a candidate roughly, and return it with its peak.
 
     Args:
-        refine: the refiner that will align them in full.
+        refine: the refiner that would align it in full.
         query: the image.
-        candidates: starts of the alignments. Candidates with equal peaks keep their order.
+        candidate: start of the alignment.
         clock: sums the seconds of the stage ``screening``.
     """
     with clock.stage("screening"):
-        screened = [ScreenedCandidate(each, rough_peak(refine, query, each)) for each in candidates]
-    return sorted(screened, key=lambda each: -each.peak)
+        return ScreenedCandidate(candidate, rough_peak(refine, query, candidate))
 
 
 def rough_peak(
     refine: Refiner, query: Query, candidate: Candidate, pixel_ratio: float = PIXEL_RATIO
 ) -> float:
     """Return the peak-to-sidelobe ratio after an alignment on the coarsest level; 0 if it fails.
+
+    It is NaN if the picture is too small to measure it.
 
     Args:
         refine: the refiner that would align the candidate in full.

@@ -15,7 +15,6 @@ from objconnect.localization.coarse.grid import GroundGrid, ground_grid
 from objconnect.localization.coarse.headings import ALTITUDE_RATIOS, tilt_rotations
 from objconnect.localization.coarse.mosaic import Mosaic, empty_mosaic
 from objconnect.localization.coarse.search import Candidate, Hypotheses, MosaicSearch
-from objconnect.localization.coarse.tilted import TiltedSearch
 from objconnect.localization.featuremetric.maps import FeatureMap
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose, so3_exp
@@ -97,6 +96,18 @@ def test_place_heading_and_altitude_are_found(mosaic: Mosaic, tilt: float, heigh
     metres, degrees = off(best.pose, true)
     assert metres < 3 * CELL and degrees < 6
     assert best.score > 0.6 and all(each.score < best.score for each in others)
+
+
+def test_a_large_mosaic_is_searched_at_half_resolution(
+    mosaic: Mosaic, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("objconnect.localization.coarse.search._MOST_CELLS", 2500)
+    true = make_pose(DOWN @ so3_exp(math.radians(130) * UP), (12.0, -20.0, 65.0))
+    passes = [DOWN @ so3_exp(math.radians(k * 10) * UP) for k in range(36)]
+    best = search(mosaic, true, Hypotheses(passes, [0.0], [45.0, 60.0, 80.0]), 1)[0]
+    metres, degrees = off(best.pose, true)
+    assert metres < 3 * CELL and degrees < 6
+    assert best.score > 0.6
 
 
 def test_turns_between_passes_are_tried(mosaic: Mosaic) -> None:
@@ -185,5 +196,5 @@ def test_a_tilted_camera_is_found_between_the_tilts_and_headings_that_are_tried(
     straight = [off(each.pose, true) for each in MosaicSearch(mosaic)(seen, flat, 16)]
     assert straight and all(metres > 8 or degrees > 10 for metres, degrees in straight)
     tilted = replace(flat, tilts=tilt_rotations([15.0, 30.0, 45.0, 60.0]))
-    metres, degrees = off(TiltedSearch(mosaic)(seen, tilted, 1)[0].pose, true)
+    metres, degrees = off(MosaicSearch(mosaic)(seen, tilted, 1)[0].pose, true)
     assert metres < 8 and degrees < 10

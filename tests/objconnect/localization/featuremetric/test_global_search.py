@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
@@ -59,13 +60,10 @@ def peaks(monkeypatch: pytest.MonkeyPatch) -> dict[float, float]:
     """Peak-to-sidelobe ratios by the easting of a candidate; 9 if it is not listed."""
     listed: dict[float, float] = {}
 
-    def screen(
-        _: Refiner, __: Query, candidates: Sequence[Candidate], ___: Stopwatch
-    ) -> list[ScreenedCandidate]:
-        screened = [ScreenedCandidate(each, listed.get(east(each.pose), 9)) for each in candidates]
-        return sorted(screened, key=lambda each: -each.peak)
+    def screen(_: Refiner, __: Query, candidate: Candidate, ___: Stopwatch) -> ScreenedCandidate:
+        return ScreenedCandidate(candidate, listed.get(east(candidate.pose), 9))
 
-    monkeypatch.setattr(global_search, "screen_candidates", screen)
+    monkeypatch.setattr(global_search, "screen", screen)
     return listed
 
 
@@ -141,16 +139,27 @@ def test_an_inexact_alignment_does_not_lend_its_probability_to_matches_elsewhere
     assert found.status is Status.FALLBACK and "standard deviation" in found.reason
 
 
-def test_after_the_first_candidate_that_with_the_highest_peak_is_aligned(
+def test_after_the_first_candidate_clear_peaks_are_aligned_and_then_the_highest(
     peaks: dict[float, float],
 ) -> None:
-    peaks.update({10: 3.6, 20: 4.0, 30: 8.0, 40: 5.0})
+    peaks.update({10: 1.0, 20: 3.6, 30: 8.0, 40: 4.0, 50: 5.0})
     starts: list[float] = []
-    attempts = align(10, 0.1), align(30, 0.5), align(40, 0.999), align(40, 0.999)
-    found = search(*attempts, eastings=(10, 20, 30, 40), starts=starts)(QUERY, None, Stopwatch())
+    attempts = align(10, 0.1), align(30, 0.1), align(50, 0.5), align(40, 0.999)
+    made = search(*attempts, eastings=(10, 20, 30, 40, 50), starts=starts)
+    found = made(QUERY, None, Stopwatch())
     assert found is not None and found.status is Status.OK
-    # The last alignment is from the pose that is believed.
-    assert starts == [10, 30, 40, 40]
+    assert starts == [10, 30, 50, 40]
+
+
+@pytest.mark.parametrize(("moved_m", "aligned"), [(2.9, [20]), (3.1, [20, 23.1])])
+def test_an_image_is_aligned_again_only_from_a_pose_far_from_its_candidate(
+    moved_m: float, aligned: list[float]
+) -> None:
+    starts: list[float] = []
+    attempts = align(20 + moved_m, 0.999), align(20 + moved_m, 0.999)
+    found = search(*attempts, eastings=(20,), starts=starts)(QUERY, None, Stopwatch())
+    assert found is not None and found.status is Status.OK
+    assert starts == pytest.approx(aligned)
 
 
 def test_candidates_of_low_peaks_are_not_aligned(peaks: dict[float, float]) -> None:
@@ -162,20 +171,29 @@ def test_candidates_of_low_peaks_are_not_aligned(peaks: dict[float, float]) -> N
     assert starts == [10, 20]
 
 
+def test_a_picture_too_small_to_be_screened_is_aligned(peaks: dict[float, float]) -> None:
+    peaks.update({20: 5.0, 30: math.nan})
+    starts: list[float] = []
+    attempts = align(10, 0.1), align(30, 0.1), align(20, 0.1)
+    found = search(*attempts, eastings=(10, 20, 30), starts=starts)(QUERY, None, Stopwatch())
+    assert found is not None and found.status is Status.FALLBACK
+    assert starts == [10, 30, 20]
+
+
 def test_another_method_is_asked_last() -> None:
     starts: list[float] = []
     radii: list[SearchRadius | None] = []
-    attempts = align(10, 0.1), align(50, 0.99), align(50, 0.99)
+    attempts = align(10, 0.1), align(60, 0.99), align(60, 0.99)
     made = search(*attempts, eastings=(10,), starts=starts, matched=50, radii=radii)
     found = made(QUERY, None, Stopwatch())
     assert found is not None and (found.status, found.by) == (Status.OK, PoseSource.ALIGNMENT)
-    assert starts == [10, 50, 50]
+    assert starts == [10, 50, 60]
     assert radii == [None, global_search.MATCHES_RADIUS, None]
 
 
 def test_another_method_is_not_asked_if_another_pose_is_probable() -> None:
     starts: list[float] = []
-    attempts = align(10, 0.99), align(10, 0.99)
-    found = search(*attempts, eastings=(10,), starts=starts, matched=50)(QUERY, None, Stopwatch())
-    assert found is not None and found.status is Status.OK
-    assert starts == [10, 10]
+    found = search(align(10, 0.99), eastings=(10,), starts=starts, matched=50)
+    answered = found(QUERY, None, Stopwatch())
+    assert answered is not None and answered.status is Status.OK
+    assert starts == [10]
