@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose
+from objconnect.scene.geometry.projection import MIN_DEPTH
 
 # Features within this distance (px of the view) of the edge of the photograph are affected by the
 # black beyond it.
@@ -298,9 +299,38 @@ def _undo_affine(
 def _to_camera_pixels(
     view: Camera, view_from_camera: NDArray[np.float64], camera: Camera, xy: NDArray[np.float64]
 ) -> NDArray[np.float64]:
+    """Return the pixels of a camera for pixels (N, 2) of a pinhole view, NaN if invalid."""
+    if not camera.is_fisheye and not any(camera.distortion):
+        return _apply_homography(_homography(view, view_from_camera, camera), xy)
     rays, _ = view.unproject(torch.from_numpy(np.asarray(xy, np.float64)))
     projected = camera.project(rays.double() @ torch.from_numpy(view_from_camera))
     return np.where(projected.valid[:, None].numpy(), projected.xy.numpy(), np.nan)
+
+
+def _homography(
+    view: Camera, view_from_camera: NDArray[np.float64], camera: Camera
+) -> NDArray[np.float64]:
+    """Return the homography (3, 3) from pixels of a view to those of a camera of one position.
+
+    Both have no distortion. Its third row gives the depth of a ray whose depth in the view is 1.
+    """
+    (fx, fy), (cx, cy) = view.focal, view.principal
+    rays = np.array([[1 / fx, 0, -cx / fx], [0, 1 / fy, -cy / fy], [0, 0, 1]])
+    return np.asarray(camera.calibration @ view_from_camera.T @ rays)
+
+
+def _apply_homography(
+    homography: NDArray[np.float64], xy: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the pixels (N, 2) that a homography gives, NaN where the depth is not positive.
+
+    Written out, because a matrix product of this size would start the threads of BLAS.
+    """
+    x, y = np.ascontiguousarray(xy.T, np.float64)
+    (a, b, c), (d, e, f), (g, h, i) = homography.tolist()
+    depth = g * x + h * y + i
+    inverse = 1 / np.where(depth > MIN_DEPTH, depth, np.nan)
+    return np.stack([(a * x + b * y + c) * inverse, (d * x + e * y + f) * inverse], -1)
 
 
 def resample(

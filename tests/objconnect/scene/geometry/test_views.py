@@ -131,6 +131,17 @@ def test_a_levelled_view_is_what_its_camera_sees(camera: Camera, scale: float) -
         assert found == pytest.approx([int(x) + 0.5, int(y) + 0.5], abs=0.5)
 
 
+def test_rays_behind_a_pinhole_camera_show_nothing() -> None:
+    turn = Rotation.from_euler("xz", [45, 10], degrees=True).as_matrix()
+    seen = level_image(np.zeros((80, 120, 3), np.uint8), OBLONG, turn, 1.0)
+    xy = np.random.default_rng(0).uniform(-2000, 2000, (500, 2))
+    rays, _ = seen.camera.unproject(torch.from_numpy(xy))
+    there = OBLONG.project(rays.double() @ torch.from_numpy(turn))
+    expected = np.where(there.valid[:, None].numpy(), there.xy.numpy(), np.nan)
+    assert 0.1 < np.isnan(expected).mean() < 0.9
+    np.testing.assert_allclose(seen.in_photograph(xy), expected, rtol=1e-9)
+
+
 def test_a_camera_is_levelled_to_the_tilt_asked_for() -> None:
     for degrees, least, left in [(60, 30, 30), (60, 0, 15), (20, 30, 20), (80, 30, 35)]:
         flat = Rotation.from_euler("zx", [130, degrees], degrees=True).as_matrix() @ DOWN
