@@ -44,11 +44,14 @@ class Attempt:
     Attributes:
         view: the warped image.
         alignment: the alignment of the view.
-        uncertainty: uncalibrated covariance of the view's pose; None if the alignment failed.
+        uncertainty: uncalibrated covariance of the view's pose; None if the alignment failed or
+            ended early.
         fit: cost as a share of the cost by chance (``problem.relative_cost``); infinite if the
-            alignment failed.
-        evidence: measures that tell a right pose from a wrong one; None if it failed.
-        log_odds: log odds that the pose is right; minus infinity if it failed.
+            alignment failed or ended early.
+        evidence: measures that tell a right pose from a wrong one; None if the alignment failed or
+            ended early.
+        log_odds: log odds that the pose is right; minus infinity if the alignment failed or ended
+            early.
     """
 
     view: WarpedImage
@@ -57,6 +60,11 @@ class Attempt:
     fit: float
     evidence: Evidence | None
     log_odds: float
+
+    @classmethod
+    def without_evidence(cls, aligned: AlignedView) -> Attempt:
+        """Return the outcome of an alignment that failed or ended early."""
+        return cls(aligned.view, aligned.alignment, None, math.inf, None, -math.inf)
 
     @property
     def has_failed(self) -> bool:
@@ -74,7 +82,7 @@ def evaluate_alignment(aligned: AlignedView, options: SearchOptions) -> Attempt:
     assert options.acceptance is not None
     view, problem, alignment = aligned.view, aligned.problem, aligned.alignment
     if alignment.has_failed[0]:
-        return Attempt(view, alignment, None, math.inf, None, -math.inf)
+        return Attempt.without_evidence(aligned)
     uncertainty = measure_uncertainty(problem, alignment.pose)
     cost_share = relative_cost(problem, alignment.pose)
     evidence = measure_evidence(problem, alignment.pose, float(uncertainty.curvature[0]))

@@ -30,7 +30,7 @@ from objconnect.localization.featuremetric.attempt import (
 )
 from objconnect.localization.featuremetric.matched_finder import MatchedFinder
 from objconnect.localization.featuremetric.options import SearchOptions
-from objconnect.localization.featuremetric.priors import has_position, is_near_prior
+from objconnect.localization.featuremetric.priors import DEFAULT_RADIUS, has_position, is_near_prior
 from objconnect.localization.featuremetric.references import FeatureObserver, ReferenceSource
 from objconnect.localization.featuremetric.refiner import Refiner
 from objconnect.localization.featuremetric.screening import ScreenedCandidate, screen
@@ -45,6 +45,12 @@ MATCHES_RADIUS: Final = SearchRadius(1.0, 1.0)
 # A candidate is refined before the others are screened if its peak-to-sidelobe ratio is at least
 # this many times ``search.least_peak``.
 _CLEAR_PEAK: Final = 1.5
+# The alignment of a candidate ends early below this many times ``search.least_peak``: at the full
+# resolution of the image, peaks of right candidates are higher than after a rough alignment.
+_SEARCHED_PEAK: Final = 1.15
+# Maximum number of candidates of a list that are refined for their rough alignments alone. A right
+# one is nearly always among them.
+_MOST_UNCLEAR: Final = 2
 # Errors of a candidate up to which its aligned pose is the answer: metres and degrees. They are
 # those of a usual prior, from which an image is aligned once.
 _NEAR: Final = SearchRadius(3.0, 5.0)
@@ -138,8 +144,9 @@ class GlobalSearch:
 
     def _align(self, query: Query, candidate: Candidate, clock: Stopwatch) -> Attempt:
         """Refine a candidate, with a smaller search radius if it is a pose from matches."""
-        radius = MATCHES_RADIUS if candidate.by is PoseSource.MATCHES else None
-        return self.refine.align_near(query, candidate.pose, clock, radius)
+        radius = MATCHES_RADIUS if candidate.by is PoseSource.MATCHES else DEFAULT_RADIUS
+        least_peak = _SEARCHED_PEAK * self.refine.config.search.least_peak
+        return self.refine.align_near(query, candidate.pose, clock, radius, least_peak)
 
     def _select_promising(
         self, query: Query, candidates: Sequence[Candidate], clock: Stopwatch
@@ -148,8 +155,8 @@ class GlobalSearch:
 
         The first is often right and is not screened. The others are screened in their order, if the
         first gives no probable pose. One with a clear peak, or in a picture too small for
-        screening, is yielded at once, the others of at least ``search.least_peak`` with the highest
-        peak first.
+        screening, is yielded at once. Of the others of at least ``search.least_peak``, the two with
+        the highest peaks are yielded, the highest first.
         """
         yield from candidates[:1]
         least = self.refine.config.search.least_peak
@@ -162,7 +169,7 @@ class GlobalSearch:
                 elif screened.peak >= least:
                     others.append(screened)
                 advance(done)
-        for each in sorted(others, key=lambda each: -each.peak):
+        for each in sorted(others, key=lambda each: -each.peak)[:_MOST_UNCLEAR]:
             yield each.candidate
 
     def find(self, query: Query, clock: Stopwatch) -> Iterator[list[Candidate]]:

@@ -41,8 +41,9 @@ class SearchOptions(Config):
         3.5,
         ge=0,
         description="Least peak-to-sidelobe ratio of a rough alignment at which a candidate of a "
-        "search is aligned in full; 0 aligns all candidates, which takes longer. The first "
-        "candidate is always aligned in full.",
+        "search is aligned at full resolution; the first candidate is always. There the ratio must "
+        "be 1.15 times as large, or the alignment ends early. 0 aligns all candidates to the end, "
+        "which takes longer.",
     )
     acceptance: AcceptanceModel | None = Field(
         None,

@@ -18,6 +18,7 @@ from objconnect.localization.featuremetric.attempt import (
     evaluate_alignment,
     photograph_pose,
 )
+from objconnect.localization.featuremetric.evidence import peak_to_sidelobe
 from objconnect.localization.featuremetric.maps import FeatureMap, MapExtractor
 from objconnect.localization.featuremetric.options import FeaturemetricConfig
 from objconnect.localization.featuremetric.priors import DEFAULT_RADIUS, exact_prior, has_position
@@ -67,6 +68,7 @@ class Refiner:
         start: Pose,
         clock: Stopwatch,
         radius: SearchRadius,
+        least_peak: float = 0.0,
     ) -> Attempt:
         """Refine a start.
 
@@ -76,6 +78,8 @@ class Refiner:
             start: ``cam_from_world``.
             clock: sums the seconds of each stage.
             radius: search radius around the start, for ``config.multistart``.
+            least_peak: least peak-to-sidelobe ratio after the search around the start; a pose with
+                a lower ratio is not aligned on the finest level, and is no answer.
         """
         trim_heap_above(self.trim_above_bytes)
         with clock.stage("features"):
@@ -93,6 +97,9 @@ class Refiner:
             else:
                 aligned = AlignedView(view, problem, align(problem, with_covariance=False))
         if multistart and not aligned.alignment.has_failed[0]:
+            with clock.stage("alignment"):
+                if least_peak and peak_to_sidelobe(problem, aligned.alignment.pose) < least_peak:
+                    return Attempt.without_evidence(aligned)
             aligned = self._realign(query, maps, aligned, clock)
         with clock.stage("alignment"):
             return evaluate_alignment(aligned, self.config.search)
@@ -102,11 +109,16 @@ class Refiner:
         return replace(self, search_width=self.search_width.multiply(factor))
 
     def align_near(
-        self, query: Query, start: Pose, clock: Stopwatch, radius: SearchRadius | None = None
+        self,
+        query: Query,
+        start: Pose,
+        clock: Stopwatch,
+        radius: SearchRadius = DEFAULT_RADIUS,
+        least_peak: float = 0.0,
     ) -> Attempt:
-        """Refine a start that replaces the query's prior; ``radius`` None is ``DEFAULT_RADIUS``."""
+        """Refine a start that replaces the query's prior; see ``__call__``."""
         query = replace(query, prior=exact_prior(start))
-        return self(query, self.choose_references(query), start, clock, radius or DEFAULT_RADIUS)
+        return self(query, self.choose_references(query), start, clock, radius, least_peak)
 
     def choose_references(self, query: Query) -> NDArray[np.int64]:
         """Return the rows of a query's reference images.

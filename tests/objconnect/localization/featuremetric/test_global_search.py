@@ -20,6 +20,7 @@ from objconnect.localization.featuremetric.acceptance import log_odds_of
 from objconnect.localization.featuremetric.attempt import Attempt
 from objconnect.localization.featuremetric.global_search import GlobalSearch
 from objconnect.localization.featuremetric.matched_finder import MatchedFinder
+from objconnect.localization.featuremetric.priors import DEFAULT_RADIUS
 from objconnect.localization.featuremetric.refiner import Refiner
 from objconnect.localization.featuremetric.screening import ScreenedCandidate
 from objconnect.scene.geometry.pose import Pose
@@ -76,7 +77,7 @@ def search(
     eastings: Sequence[float] = (80,),
     starts: list[float] | None = None,
     matched: float | None = None,
-    radii: list[SearchRadius | None] | None = None,
+    bounds: list[tuple[SearchRadius, float]] | None = None,
 ) -> GlobalSearch:
     """A search with candidates at these eastings, whose refiner gives these attempts in turn.
 
@@ -84,11 +85,17 @@ def search(
     """
     given = iter(attempts)
 
-    def near(_: Query, start: Pose, __: Stopwatch, radius: SearchRadius | None = None) -> Attempt:
+    def near(
+        _: Query,
+        start: Pose,
+        __: Stopwatch,
+        radius: SearchRadius = DEFAULT_RADIUS,
+        least_peak: float = 0.0,
+    ) -> Attempt:
         if starts is not None:
             starts.append(east(start))
-        if radii is not None:
-            radii.append(radius)
+        if bounds is not None:
+            bounds.append((radius, least_peak))
         return next(given)
 
     refine = SimpleNamespace(config=SimpleNamespace(search=OPTIONS), align_near=near)
@@ -171,6 +178,15 @@ def test_candidates_of_low_peaks_are_not_aligned(peaks: dict[float, float]) -> N
     assert starts == [10, 20]
 
 
+def test_two_candidates_without_a_clear_peak_are_aligned(peaks: dict[float, float]) -> None:
+    peaks.update({20: 3.6, 30: 4.5, 40: 4.0})
+    starts: list[float] = []
+    attempts = align(10, 0.1), align(30, 0.1), align(40, 0.1)
+    found = search(*attempts, eastings=(10, 20, 30, 40), starts=starts)(QUERY, None, Stopwatch())
+    assert found is not None and found.status is Status.FALLBACK
+    assert starts == [10, 30, 40]
+
+
 def test_a_picture_too_small_to_be_screened_is_aligned(peaks: dict[float, float]) -> None:
     peaks.update({20: 5.0, 30: math.nan})
     starts: list[float] = []
@@ -182,13 +198,15 @@ def test_a_picture_too_small_to_be_screened_is_aligned(peaks: dict[float, float]
 
 def test_another_method_is_asked_last() -> None:
     starts: list[float] = []
-    radii: list[SearchRadius | None] = []
+    bounds: list[tuple[SearchRadius, float]] = []
     attempts = align(10, 0.1), align(60, 0.99), align(60, 0.99)
-    made = search(*attempts, eastings=(10,), starts=starts, matched=50, radii=radii)
+    made = search(*attempts, eastings=(10,), starts=starts, matched=50, bounds=bounds)
     found = made(QUERY, None, Stopwatch())
     assert found is not None and (found.status, found.by) == (Status.OK, PoseSource.ALIGNMENT)
     assert starts == [10, 50, 60]
-    assert radii == [None, global_search.MATCHES_RADIUS, None]
+    least = global_search._SEARCHED_PEAK * OPTIONS.least_peak
+    expected = [(DEFAULT_RADIUS, least), (global_search.MATCHES_RADIUS, least), (DEFAULT_RADIUS, 0)]
+    assert bounds == expected
 
 
 def test_another_method_is_not_asked_if_another_pose_is_probable() -> None:

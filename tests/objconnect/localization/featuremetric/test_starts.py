@@ -8,13 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 
 from benchmark.evaluation.starts import gravity_prior, position_prior
 from objconnect.localization.featuremetric.acceptance import AcceptanceModel
+from objconnect.localization.featuremetric.localizer import FeaturemetricLocalizer
 from objconnect.methods import create
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.views import warp_image
-from objconnect.scene.localizer import Estimate, Localizer, PoseSource, Query, Status
+from objconnect.scene.localizer import Estimate, Localizer, PoseSource, Query, Status, Stopwatch
 from tests.baselines.test_hostile import DATASET, QUERY, TRUTH, WHOLE, noise
 
 SETTINGS: dict[str, dict[str, Any]] = {
@@ -46,6 +48,17 @@ def assert_right(answer: Estimate, truth: Pose = TRUTH) -> None:
 @pytest.mark.parametrize("told", PRIORS)
 def test_each_source_of_starts_leads_to_the_pose(localizer: Localizer, told: str) -> None:
     assert_right(localizer.localize(replace(QUERY, prior=PRIORS[told])))
+
+
+@torch.inference_mode()
+def test_a_pose_of_a_low_peak_is_not_aligned_to_the_end(localizer: FeaturemetricLocalizer) -> None:
+    refine = localizer.map_state.refine
+    whole = refine.align_near(QUERY, TRUTH, Stopwatch())
+    short = refine.align_near(QUERY, TRUTH, Stopwatch(), least_peak=1000.0)
+    assert whole.evidence is not None and whole.log_odds > 0
+    assert not short.has_failed and short.evidence is None and short.log_odds == -math.inf
+    same = refine.align_near(QUERY, TRUTH, Stopwatch(), least_peak=0.9 * whole.evidence.peak)
+    assert same.log_odds == whole.log_odds
 
 
 MODEL = AcceptanceModel.load_beside(None)
