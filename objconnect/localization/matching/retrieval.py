@@ -110,9 +110,12 @@ class VladIndex:
         learned = _cluster(sample, min(words, len(sample))) if len(sample) else sample
         count = len(descriptors)
         rows = np.linspace(0, count - 1, min(count, spanning)).astype(int)
-        span = np.stack([_vlad(descriptors[int(row)], learned) for row in rows])
-        basis = np.asarray(np.linalg.qr(span.T)[0], np.float32)
-        vectors = [_vlad(descriptors[row], learned) @ basis for row in range(count)]
+        span = {row: _vlad(descriptors[row], learned) for row in rows.tolist()}
+        basis = np.asarray(np.linalg.qr(np.stack([*span.values()]).T)[0], np.float32)
+        vectors = [
+            (span[row] if row in span else _vlad(descriptors[row], learned)) @ basis
+            for row in range(count)
+        ]
         return VladIndex(learned, basis, np.stack(vectors))
 
     def rank(self, descriptors: QueryDescriptors, k: int, among: Rows | None = None) -> Rows:
@@ -162,8 +165,9 @@ def _vlad(descriptors: NDArray[np.float32], words: NDArray[np.float32]) -> NDArr
         return np.zeros(words.size, np.float32)
     # The nearest word by squared distance; the descriptor's length is the same for all words.
     nearest = (descriptors @ words.T - 0.5 * (words**2).sum(1)).argmax(1)
-    vlad = np.zeros_like(words)
-    np.add.at(vlad, nearest, descriptors - words[nearest])
+    # Sums over the descriptors of each word, as a matrix product.
+    belongs = (nearest[:, None] == np.arange(len(words))).astype(np.float32)
+    vlad = belongs.T @ descriptors - belongs.sum(0)[:, None] * words
     vlad = np.sign(vlad) * np.sqrt(np.abs(vlad))
     vlad /= np.maximum(np.linalg.norm(vlad, axis=1, keepdims=True), 1e-12)
     flat = vlad.ravel()
