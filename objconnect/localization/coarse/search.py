@@ -81,13 +81,13 @@ class QueryView(NamedTuple):
 
     Attributes:
         rotation: (3, 3) ``cam_from_world`` of the hypothesis that the query was warped for.
-        view: the warped query.
-        level: its coarsest features, reduced to the mosaic's channels.
+        scorer: scores poses on the mosaic.
+        rough_scorer: scores poses on the mosaic at the resolution that is searched.
     """
 
     rotation: Tensor
-    view: WarpedImage
-    level: FeatureMap
+    scorer: ViewScorer
+    rough_scorer: ViewScorer
 
 
 class Peak(NamedTuple):
@@ -126,7 +126,8 @@ class MosaicSearch:
         self._halved = [mosaic]
         while self._halved[-1].known.numel() > _MOST_CELLS:
             self._halved.append(self._halved[-1].halve())
-        self._rough_sampler = MosaicSampler(self._halved[-1])
+        is_whole = len(self._halved) == 1
+        self._rough_sampler = self._sampler if is_whole else MosaicSampler(self._halved[-1])
 
     @torch.inference_mode()
     def extract_views(self, extract: Extract, hypotheses: Hypotheses) -> list[QueryView]:
@@ -145,7 +146,12 @@ class MosaicSearch:
                 view, level = extract(Pose(rotation, -rotation @ centre))
                 reduced = self._mosaic.reduce_channels(level.features)
                 level = FeatureMap(reduced, level.confidence, level.stride)
-                views.append(QueryView(rotation, view, level))
+                scorer = rough_scorer = ViewScorer(self._sampler, view, level)
+                if self._rough_sampler is not self._sampler:
+                    for _ in self._halved[1:]:
+                        level = level.halve()
+                    rough_scorer = ViewScorer(self._rough_sampler, view, level)
+                views.append(QueryView(rotation, scorer, rough_scorer))
                 advance(len(views))
         return views
 
@@ -160,25 +166,21 @@ class MosaicSearch:
             hypotheses: headings, altitudes, tilts and region to search.
             count: maximum number of candidates.
         """
-        scorers = [ViewScorer(self._sampler, each.view, each.level) for each in views]
         rough = [list(self._peaks(each, hypotheses)) for each in views]
         number = _NUM_REFINED * len(self._halved)
         best = self._select([peak for peaks in rough for peak in peaks], number)
         chosen = {id(peak) for peak in best}
         refined = [
             peak
-            for scorer, peaks in zip(scorers, rough, strict=True)
-            for peak in self._refine(scorer, [each for each in peaks if id(each) in chosen])
+            for view, peaks in zip(views, rough, strict=True)
+            for peak in self._refine(view.scorer, [each for each in peaks if id(each) in chosen])
             if _is_inside(peak, hypotheses.region)
         ]
         return [self._candidate(peak) for peak in self._select(refined, count)]
 
     def _peaks(self, query: QueryView, hypotheses: Hypotheses) -> Iterator[Peak]:
         """Yield the peaks of one view of the query, for each tilt and altitude."""
-        level = query.level
-        for _ in self._halved[1:]:
-            level = level.halve()
-        scorer = ViewScorer(self._rough_sampler, query.view, level)
+        scorer = query.rough_scorer
         mosaic = self._halved[-1]
         grid, known = mosaic.grid, mosaic.known
         planes = (scorer.features @ mosaic.features.flatten(1)).view(-1, *grid.shape)
