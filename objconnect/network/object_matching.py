@@ -27,6 +27,7 @@ from objconnect.network.object_pairs import Bounds, GroundPoses, ObjectSimilarit
 from objconnect.network.object_pose import refine_pose
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose, so3_exp
+from objconnect.scene.runtime.threads import map_in_threads
 
 CANDIDATES: Final = 5
 """Default maximum number of candidate poses of a photograph."""
@@ -100,14 +101,16 @@ class ObjectMatcher:
         """
         if self._pairs is None:
             return []
-        similarity = self._pairs.compare(found.vectors)
-        tried = []
-        for attitude in attitudes:
+        pairs, similarity = self._pairs, self._pairs.compare(found.vectors)
+
+        def try_attitude(attitude: Tensor) -> _Hypotheses | None:
             layout = lay_out(found, camera, attitude)
-            if len(layout) >= _LEAST_OBJECTS:
-                layout_similarity = similarity.select(layout.rows)
-                best = self._pairs(layout, layout_similarity, bounds, _MAX_RATED)
-                tried.append(_Hypotheses(attitude, layout, *best))
+            if len(layout) < _LEAST_OBJECTS:
+                return None
+            best = pairs(layout, similarity.select(layout.rows), bounds, _MAX_RATED)
+            return _Hypotheses(attitude, layout, *best)
+
+        tried = [each for each in map_in_threads(try_attitude, attitudes) if each is not None]
         if not tried:
             return []
         least = np.sort(np.concatenate([each.scores for each in tried]))[-_MAX_RATED:][:1]

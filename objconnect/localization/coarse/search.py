@@ -23,6 +23,7 @@ from objconnect.scene.geometry.pose import Pose, so3_exp
 from objconnect.scene.geometry.views import WarpedImage
 from objconnect.scene.localizer import PoseSource
 from objconnect.scene.runtime.progress import progress_within
+from objconnect.scene.runtime.threads import map_in_threads
 
 UP: Final = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
 # Number of peaks of the correlation that are kept for each pass of the network, tilt and altitude.
@@ -140,18 +141,22 @@ class MosaicSearch:
         """
         median_altitude = float(hypotheses.altitudes[len(hypotheses.altitudes) // 2])
         centre = torch.tensor([0.0, 0.0, median_altitude], dtype=torch.float64)
+
+        def extract_view(rotation: Tensor) -> QueryView:
+            view, level = extract(Pose(rotation, -rotation @ centre))
+            reduced = self._mosaic.reduce_channels(level.features)
+            level = FeatureMap(reduced, level.confidence, level.stride)
+            scorer = rough_scorer = ViewScorer(self._sampler, view, level)
+            if self._rough_sampler is not self._sampler:
+                for _ in self._halved[1:]:
+                    level = level.halve()
+                rough_scorer = ViewScorer(self._rough_sampler, view, level)
+            return QueryView(rotation, scorer, rough_scorer)
+
         views: list[QueryView] = []
         with progress_within("coarse search", len(hypotheses.passes)) as advance:
-            for rotation in hypotheses.passes:
-                view, level = extract(Pose(rotation, -rotation @ centre))
-                reduced = self._mosaic.reduce_channels(level.features)
-                level = FeatureMap(reduced, level.confidence, level.stride)
-                scorer = rough_scorer = ViewScorer(self._sampler, view, level)
-                if self._rough_sampler is not self._sampler:
-                    for _ in self._halved[1:]:
-                        level = level.halve()
-                    rough_scorer = ViewScorer(self._rough_sampler, view, level)
-                views.append(QueryView(rotation, scorer, rough_scorer))
+            for view in map_in_threads(extract_view, hypotheses.passes):
+                views.append(view)
                 advance(len(views))
         return views
 
@@ -166,14 +171,18 @@ class MosaicSearch:
             hypotheses: headings, altitudes, tilts and region to search.
             count: maximum number of candidates.
         """
-        rough = [list(self._peaks(each, hypotheses)) for each in views]
+        rough = [*map_in_threads(lambda each: list(self._peaks(each, hypotheses)), views)]
         number = _NUM_REFINED * len(self._halved)
         best = self._select([peak for peaks in rough for peak in peaks], number)
         chosen = {id(peak) for peak in best}
+
+        def refine(view: QueryView, peaks: Sequence[Peak]) -> list[Peak]:
+            return self._refine(view.scorer, [each for each in peaks if id(each) in chosen])
+
         refined = [
             peak
-            for view, peaks in zip(views, rough, strict=True)
-            for peak in self._refine(view.scorer, [each for each in peaks if id(each) in chosen])
+            for peaks in map_in_threads(lambda part: refine(*part), zip(views, rough, strict=True))
+            for peak in peaks
             if _is_inside(peak, hypotheses.region)
         ]
         return [self._candidate(peak) for peak in self._select(refined, count)]
@@ -231,17 +240,19 @@ class MosaicSearch:
                 south, west = max(0, row - cells), max(0, column - cells)
                 score[k, south : row + cells + 1, west : column + cells + 1] = -1.0
 
-    def _refine(self, scorer: ViewScorer, peaks: Sequence[Peak]) -> Iterator[Peak]:
-        """Yield the peaks of one view of the query, refined."""
+    def _refine(self, scorer: ViewScorer, peaks: Sequence[Peak]) -> list[Peak]:
+        """Return the peaks of one view of the query, refined."""
         if not peaks:
-            return
+            return []
         rotation = torch.stack([peak.rotation for peak in peaks])
         altitude = torch.tensor([peak.altitude for peak in peaks], dtype=torch.float64)
         centre = torch.tensor([[peak.x, peak.y] for peak in peaks], dtype=torch.float64)
         to_middle = middle(*scorer.project_to_ground(rotation, altitude))
         poses, centres, scores = scorer.refine(CoarsePoses(rotation, altitude, centre + to_middle))
-        for k, (x, y) in enumerate(centres.tolist()):
-            yield Peak(float(scores[k]), x, y, float(poses.altitude[k]), poses.rotation[k])
+        return [
+            Peak(float(scores[k]), x, y, float(poses.altitude[k]), poses.rotation[k])
+            for k, (x, y) in enumerate(centres.tolist())
+        ]
 
     def _select(self, peaks: Sequence[Peak], count: int) -> list[Peak]:
         """Return the best peaks, best first, without those nearer than ``separation`` to a better

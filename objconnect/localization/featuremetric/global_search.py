@@ -162,10 +162,9 @@ class GlobalSearch:
         least = self.refine.config.search.least_peak
         others: list[ScreenedCandidate] = []
         with progress_within("candidates", len(candidates)) as advance:
-            for done, candidate in enumerate(candidates[1:], 2):
-                screened = screen(self.refine, query, candidate, clock)
+            for done, screened in enumerate(screen(self.refine, query, candidates[1:], clock), 2):
                 if math.isnan(screened.peak) or screened.peak >= _CLEAR_PEAK * least:
-                    yield candidate
+                    yield screened.candidate
                 elif screened.peak >= least:
                     others.append(screened)
                 advance(done)

@@ -7,8 +7,12 @@ map's photographs.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
+
+import torch
 
 from objconnect.localization.align.hypotheses import align_from_many
 from objconnect.localization.coarse.search import Candidate
@@ -16,6 +20,7 @@ from objconnect.localization.featuremetric.evidence import peak_to_sidelobe
 from objconnect.localization.featuremetric.priors import DEFAULT_RADIUS, exact_prior
 from objconnect.localization.featuremetric.refiner import Refiner
 from objconnect.scene.localizer import Query, Stopwatch
+from objconnect.scene.runtime.threads import map_in_threads
 
 PIXEL_RATIO: Final = 1.5
 """Metres per pixel of a screened image as a multiple of those of the map's photographs. Of the
@@ -34,18 +39,24 @@ class ScreenedCandidate:
 
 
 def screen(
-    refine: Refiner, query: Query, candidate: Candidate, clock: Stopwatch
-) -> ScreenedCandidate:
-    """Align a candidate roughly, and return it with its peak.
+    refine: Refiner, query: Query, candidates: Sequence[Candidate], clock: Stopwatch
+) -> Iterator[ScreenedCandidate]:
+    """Align candidates roughly, and yield them with their peaks in their order.
+
+    As many are aligned at a time as torch may use threads.
 
     Args:
-        refine: the refiner that would align it in full.
+        refine: the refiner that would align them in full.
         query: the image.
-        candidate: start of the alignment.
+        candidates: starts of the alignments.
         clock: sums the seconds of the stage ``screening``.
     """
-    with clock.stage("screening"):
-        return ScreenedCandidate(candidate, rough_peak(refine, query, candidate))
+    threads = torch.get_num_threads()
+    for first in range(0, len(candidates), threads):
+        part = candidates[first : first + threads]
+        with clock.stage("screening"):
+            peaks = [*map_in_threads(partial(rough_peak, refine, query), part)]
+        yield from map(ScreenedCandidate, part, peaks)
 
 
 def rough_peak(

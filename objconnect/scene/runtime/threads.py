@@ -32,7 +32,7 @@ def map_in_threads(
     """Apply a function to items in as many threads as torch may use; yield results in order.
 
     Torch uses one thread per item meanwhile. This suits many small operations, for which torch's
-    own threads mostly wait.
+    own threads mostly wait. If the caller is in torch's inference mode, so are the threads.
 
     Args:
         work: thread-safe function.
@@ -40,15 +40,20 @@ def map_in_threads(
     """
     import torch
 
-    threads = torch.get_num_threads()
+    threads, is_inference = torch.get_num_threads(), torch.is_inference_mode_enabled()
     if threads <= 1:
         yield from map(work, items)
         return
+
+    def work_in_mode(item: Item) -> Result:
+        with torch.inference_mode(is_inference):
+            return work(item)
+
     with torch_threads(1), ThreadPoolExecutor(threads) as pool:
         waiting: deque[Future[Result]] = deque()
         try:
             for item in items:
-                waiting.append(pool.submit(work, item))
+                waiting.append(pool.submit(work_in_mode, item))
                 if len(waiting) > threads:
                     yield waiting.popleft().result()
             while waiting:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
@@ -61,8 +61,11 @@ def peaks(monkeypatch: pytest.MonkeyPatch) -> dict[float, float]:
     """Peak-to-sidelobe ratios by the easting of a candidate; 9 if it is not listed."""
     listed: dict[float, float] = {}
 
-    def screen(_: Refiner, __: Query, candidate: Candidate, ___: Stopwatch) -> ScreenedCandidate:
-        return ScreenedCandidate(candidate, listed.get(east(candidate.pose), 9))
+    def screen(
+        _: Refiner, __: Query, candidates: Sequence[Candidate], ___: Stopwatch
+    ) -> Iterator[ScreenedCandidate]:
+        for each in candidates:
+            yield ScreenedCandidate(each, listed.get(east(each.pose), 9))
 
     monkeypatch.setattr(global_search, "screen", screen)
     return listed
