@@ -23,7 +23,7 @@ from objconnect.scene.geometry.pose import Pose, so3_exp
 from objconnect.scene.geometry.views import WarpedImage
 from objconnect.scene.localizer import PoseSource
 from objconnect.scene.runtime.progress import progress_within
-from objconnect.scene.runtime.threads import map_in_threads
+from objconnect.scene.runtime.threads import count_network_threads, map_in_threads
 
 UP: Final = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
 # Number of peaks of the correlation that are kept for each pass of the network, tilt and altitude.
@@ -154,8 +154,9 @@ class MosaicSearch:
             return QueryView(rotation, scorer, rough_scorer)
 
         views: list[QueryView] = []
+        threads = count_network_threads()
         with progress_within("coarse search", len(hypotheses.passes)) as advance:
-            for view in map_in_threads(extract_view, hypotheses.passes):
+            for view in map_in_threads(extract_view, hypotheses.passes, threads):
                 views.append(view)
                 advance(len(views))
         return views

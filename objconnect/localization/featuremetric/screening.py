@@ -12,15 +12,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
 
-import torch
-
 from objconnect.localization.align.hypotheses import align_from_many
 from objconnect.localization.coarse.search import Candidate
 from objconnect.localization.featuremetric.evidence import peak_to_sidelobe
 from objconnect.localization.featuremetric.priors import DEFAULT_RADIUS, exact_prior
 from objconnect.localization.featuremetric.refiner import Refiner
 from objconnect.scene.localizer import Query, Stopwatch
-from objconnect.scene.runtime.threads import map_in_threads
+from objconnect.scene.runtime.threads import count_network_threads, map_in_threads
 
 PIXEL_RATIO: Final = 1.5
 """Metres per pixel of a screened image as a multiple of those of the map's photographs. Of the
@@ -43,7 +41,7 @@ def screen(
 ) -> Iterator[ScreenedCandidate]:
     """Align candidates roughly, and yield them with their peaks in their order.
 
-    As many are aligned at a time as torch may use threads.
+    As many are aligned at a time as threads may run the network.
 
     Args:
         refine: the refiner that would align them in full.
@@ -51,11 +49,11 @@ def screen(
         candidates: starts of the alignments.
         clock: sums the seconds of the stage ``screening``.
     """
-    threads = torch.get_num_threads()
+    threads = count_network_threads()
     for first in range(0, len(candidates), threads):
         part = candidates[first : first + threads]
         with clock.stage("screening"):
-            peaks = [*map_in_threads(partial(rough_peak, refine, query), part)]
+            peaks = [*map_in_threads(partial(rough_peak, refine, query), part, threads)]
         yield from map(ScreenedCandidate, part, peaks)
 
 

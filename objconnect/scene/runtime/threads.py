@@ -7,10 +7,12 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from threading import Event
-from typing import TypeVar
+from typing import Final, TypeVar
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+# Maximum number of threads that run a network at a time.
+_MOST_NETWORK_THREADS: Final = 4
 
 
 @contextmanager
@@ -26,10 +28,17 @@ def torch_threads(count: int) -> Iterator[None]:
         torch.set_num_threads(old_count)
 
 
+def count_network_threads() -> int:
+    """Return the number of threads that may run a network at a time; each takes memory."""
+    import torch
+
+    return min(torch.get_num_threads(), _MOST_NETWORK_THREADS)
+
+
 def map_in_threads(
-    work: Callable[[Item], Result], items: Iterable[Item]
+    work: Callable[[Item], Result], items: Iterable[Item], threads: int | None = None
 ) -> Generator[Result, None, None]:
-    """Apply a function to items in as many threads as torch may use; yield results in order.
+    """Apply a function to items in threads; yield results in order.
 
     Torch uses one thread per item meanwhile. This suits many small operations, for which torch's
     own threads mostly wait. If the caller is in torch's inference mode, so are the threads.
@@ -37,10 +46,12 @@ def map_in_threads(
     Args:
         work: thread-safe function.
         items: items, taken as results are consumed.
+        threads: number of threads; None for as many as torch may use.
     """
     import torch
 
-    threads, is_inference = torch.get_num_threads(), torch.is_inference_mode_enabled()
+    threads = threads or torch.get_num_threads()
+    is_inference = torch.is_inference_mode_enabled()
     if threads <= 1:
         yield from map(work, items)
         return

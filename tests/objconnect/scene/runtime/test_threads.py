@@ -8,7 +8,12 @@ from itertools import count
 import pytest
 import torch
 
-from objconnect.scene.runtime.threads import map_in_threads, map_unordered, torch_threads
+from objconnect.scene.runtime.threads import (
+    count_network_threads,
+    map_in_threads,
+    map_unordered,
+    torch_threads,
+)
 
 
 @pytest.mark.parametrize("threads", [1, 3])
@@ -37,6 +42,23 @@ def test_several_at_a_time() -> None:
     met = threading.Barrier(2, timeout=300)
     with torch_threads(2):
         assert len(list(map_in_threads(lambda _: met.wait(), range(4)))) == 4
+
+
+@pytest.mark.parametrize("is_inference", [True, False])
+def test_threads_are_in_the_inference_mode_of_the_caller(is_inference: bool) -> None:
+    with torch_threads(2), torch.inference_mode(is_inference):
+        modes = list(map_in_threads(lambda _: torch.is_inference_mode_enabled(), range(4)))
+    assert modes == 4 * [is_inference]
+
+
+def test_networks_run_in_few_threads() -> None:
+    for threads, expected in [(1, 1), (3, 3), (64, 4)]:
+        with torch_threads(threads):
+            assert count_network_threads() == expected
+    running = set()
+    with torch_threads(8):
+        list(map_in_threads(lambda _: running.add(threading.get_ident()), range(50), threads=2))
+    assert len(running) <= 2
 
 
 def test_an_error_ends_it() -> None:
