@@ -177,12 +177,13 @@ class MosaicSearch:
         best = self._select([peak for peaks in rough for peak in peaks], number)
         chosen = {id(peak) for peak in best}
 
-        def refine(view: QueryView, peaks: Sequence[Peak]) -> list[Peak]:
+        def refine(peaks_of_view: tuple[QueryView, Sequence[Peak]]) -> list[Peak]:
+            view, peaks = peaks_of_view
             return self._refine(view.scorer, [each for each in peaks if id(each) in chosen])
 
         refined = [
             peak
-            for peaks in map_in_threads(lambda part: refine(*part), zip(views, rough, strict=True))
+            for peaks in map_in_threads(refine, zip(views, rough, strict=True))
             for peak in peaks
             if _is_inside(peak, hypotheses.region)
         ]

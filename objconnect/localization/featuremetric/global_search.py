@@ -177,7 +177,7 @@ class GlobalSearch:
         if self.extra_finder is not None:
             finders.insert(0 if self.extra_finder.is_first else 1, self._find_extra)
         if self.matched_finder is not None:
-            finders.append(self._find_matched)
+            finders.append(self._find_by_matcher)
         for find in finders:
             yield from find(query, clock)
 
@@ -219,7 +219,7 @@ class GlobalSearch:
             candidates = self.extra_finder.find(query)
         yield [each for each in candidates if is_near_prior(query.prior, each.pose)]
 
-    def _find_matched(self, query: Query, clock: Stopwatch) -> Iterator[list[Candidate]]:
+    def _find_by_matcher(self, query: Query, clock: Stopwatch) -> Iterator[list[Candidate]]:
         """Yield the candidate of the method ``search.matcher``."""
         assert self.matched_finder is not None
         with clock.stage("matcher"):
