@@ -14,6 +14,10 @@ class WriteError(InputError):
     """A path cannot be written or its disk is full; results that are finished stay usable."""
 
 
+class NoPointsError(InputError):
+    """Photographs show too little texture, or overlap too little, for any point of a map."""
+
+
 class PreparationError(Exception):
     """The per-map state that a query needs could not be built, although the input is right.
 

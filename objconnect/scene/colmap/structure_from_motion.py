@@ -16,7 +16,7 @@ from objconnect.scene.colmap.models import lens_ids, write_model
 from objconnect.scene.colmap.native import LEAST_VARIANCE, MIN_FREE_BYTES, SEED, Progress
 from objconnect.scene.colmap.options import MAX_ALIGNMENT_ERROR_M, MIN_ANGLE_DEG, OUTLIER_SIGMAS
 from objconnect.scene.colmap.triangulation import pipeline_options
-from objconnect.scene.errors import InputError
+from objconnect.scene.errors import InputError, NoPointsError
 from objconnect.scene.geometry.pose import Pose
 from objconnect.scene.geometry.robust import CAUCHY_SCALE
 from objconnect.scene.maps.colmap_files import read_model
@@ -56,8 +56,9 @@ def reconstruct(
         The map as written, and the features it was built from by image name.
 
     Raises:
-        InputError: an image is missing, damaged or not of its camera's size, or fewer than three
-            images could be registered.
+        InputError: an image is missing, damaged or not of its camera's size, or the model does not
+            fit the known camera centres.
+        NoPointsError: fewer than three images could be registered.
     """
     root, images = job.root, job.images
     with scratch(out) as folder:
@@ -79,7 +80,7 @@ def reconstruct(
         )
     model = max(models.values(), key=lambda m: m.num_reg_images(), default=None)
     if model is None or model.num_reg_images() < MIN_ALIGNED_CENTRES:
-        raise InputError(
+        raise NoPointsError(
             f"structure from motion could not register {MIN_ALIGNED_CENTRES} of the {len(images)} "
             f"images of {root}: they need overlap and texture"
         )

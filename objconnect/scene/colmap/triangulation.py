@@ -12,7 +12,7 @@ from objconnect.scene.colmap.database import MappingJob, match_with_poses, write
 from objconnect.scene.colmap.models import add_map_points, make_model, write_model
 from objconnect.scene.colmap.native import MIN_FREE_BYTES, SEED, Progress
 from objconnect.scene.colmap.sift import read_features
-from objconnect.scene.errors import InputError
+from objconnect.scene.errors import NoPointsError
 from objconnect.scene.maps.colmap_files import read_model
 from objconnect.scene.maps.features import Features
 from objconnect.scene.maps.photographs import PosedImage
@@ -34,8 +34,8 @@ def triangulate(
         The map as written, and the features it was built from by image name.
 
     Raises:
-        InputError: an image is missing, damaged or not of its camera's size, or no point could be
-            triangulated.
+        InputError: an image is missing, damaged or not of its camera's size.
+        NoPointsError: no point could be triangulated.
     """
     with scratch(out) as folder:
         database = job.database or folder / "database.db"
@@ -50,7 +50,7 @@ def _triangulate(
         posed, database, root, out, clear_points=True, options=pipeline_options()
     )
     if not result.num_points3D():
-        raise InputError(
+        raise NoPointsError(
             f"no point could be triangulated from the {posed.num_images()} images of {root}: "
             "they need overlap and texture"
         )
@@ -79,7 +79,7 @@ def triangulate_again(
         The map as written, and the features it was built from by image name.
 
     Raises:
-        InputError: no point could be triangulated.
+        NoPointsError: no point could be triangulated.
     """
     features = read_features(database, root)
     selected = {image.name: features[image.name] for image in images}
