@@ -22,7 +22,7 @@ from objconnect.scene.colmap.native import PYCOLMAP_VERSION
 from objconnect.scene.colmap.options import SiftOptions
 from objconnect.scene.colmap.structure_from_motion import ADJUSTMENTS, reconstruct
 from objconnect.scene.colmap.triangulation import triangulate
-from objconnect.scene.errors import InputError
+from objconnect.scene.errors import InputError, NoPointsError
 from objconnect.scene.maps.features import features_key, write_features
 from objconnect.scene.maps.photographs import PosedImage
 from objconnect.scene.runtime.progress import progress_bar
@@ -68,10 +68,18 @@ def build_map(
     """
     scene = Scene.open(path)
     with write_lock(path):
-        return _build(scene, method, cluster, options)
+        return build_locked(scene, method, cluster, options)
 
 
-def _build(scene: Scene, method: Method, cluster: str | None, options: MapOptions) -> MapReport:
+def build_locked(
+    scene: Scene, method: Method, cluster: str | None, options: MapOptions = _DEFAULTS
+) -> MapReport:
+    """Build the map of a scene whose lock the caller holds; see ``build_map``.
+
+    Raises:
+        InputError: for the reasons of ``build_map``.
+        NoPointsError: the photographs show too little texture, or overlap too little.
+    """
     path = scene.path
     images, ids_in_view = _map_frames(scene)
     names = [image.name for image in images]
@@ -79,7 +87,7 @@ def _build(scene: Scene, method: Method, cluster: str | None, options: MapOption
     chosen = choose_pairs(scene.covisibility.select(names).mutual, flights, options)
     pairs = [(names[i], names[j]) for i, j in chosen]
     if not pairs:
-        raise InputError(f"the map frames of {path} do not overlap: fly with more overlap")
+        raise NoPointsError(f"the map frames of {path} do not overlap: fly with more overlap")
     build, steps = {
         "triangulate": (triangulate, len(images) + len(pairs)),
         "sfm": (reconstruct, 2 * len(images) + len(pairs) + ADJUSTMENTS),
