@@ -169,8 +169,8 @@ def build_map(
         raise InputError("--ortho needs --dsm and --out: give both")
     if georeference is None and georeference_height is not None:
         raise InputError("--georeference-height needs --georeference: give both")
-    from objconnect.ingestion.virtual.command import photograph_orthophoto
     from objconnect.ingestion.virtual.options import ViewOptions
+    from objconnect.mapping.orthophoto import map_orthophoto
     from objconnect.scene.bundle.georeference import Georeference
 
     options = ViewOptions.model_validate({k: v for k, v in views.items() if v is not None})
@@ -179,10 +179,16 @@ def build_map(
         on_earth = Georeference(
             horizontal_m=georeference, vertical_m=georeference_height, source="stated"
         )
-    virtual = photograph_orthophoto(
-        ortho, dsm, out, undulation=undulation, options=options, georeference=on_earth
+    virtual, report = map_orthophoto(
+        ortho,
+        dsm,
+        out,
+        undulation=undulation,
+        options=options,
+        georeference=on_earth,
+        method=method.value,
+        cluster=cluster,
     )
-    report = run(out, method.value, cluster)
     summary = {"virtual": virtual.as_dict(), **report.as_dict()}
     emit(Summary(f"{virtual.text()}\n{report.text()}", summary), as_json)
 

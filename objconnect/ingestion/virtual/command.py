@@ -13,6 +13,12 @@ from numpy.typing import NDArray
 
 from objconnect.ingestion.virtual.flight import lay_grid, list_directions, make_camera, view_pose
 from objconnect.ingestion.virtual.options import ViewOptions
+from objconnect.ingestion.virtual.record import (
+    SourceFile,
+    ViewsRecord,
+    find_finished,
+    open_unfinished,
+)
 from objconnect.ingestion.virtual.survey import MAX_DEPTH_ALTITUDES, Survey, survey_rasters
 from objconnect.scene.bundle.covisibility import (
     Covisibility,
@@ -23,21 +29,23 @@ from objconnect.scene.bundle.covisibility import (
 from objconnect.scene.bundle.frames import Frames, Layer, write_frames
 from objconnect.scene.bundle.georeference import Georeference
 from objconnect.scene.bundle.manifest import Manifest, Objects, Session, Splits, write_json
-from objconnect.scene.bundle.scene import COVISIBILITY, Scene, finish_scene
-from objconnect.scene.errors import InputError
+from objconnect.scene.bundle.scene import COVISIBILITY, MANIFEST, Scene, finish_scene
+from objconnect.scene.errors import InputError, WriteError
 from objconnect.scene.geo.rasters import Raster
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.geodesy import Geodetic, geodetic_from_enu
 from objconnect.scene.runtime.progress import progress_bar
-from objconnect.scene.storage.atomic import atomic_folder
-from objconnect.scene.storage.digests import sha256_of
+from objconnect.scene.storage.atomic import remove_owned
 from objconnect.scene.storage.exif import Exif, write_jpeg
-from objconnect.scene.storage.outputs import check_output_folder, require_empty
+from objconnect.scene.storage.locks import write_lock
+from objconnect.scene.storage.outputs import check_output_folder
 
 Array = NDArray[np.float64]
 
 SESSION: Final = "virtual"
 """Name of the session (flight) of virtual photographs."""
+
+_FRAMES: Final = f"{SESSION}/frames.h5"
 
 _DEFAULTS: Final = ViewOptions()
 # Views in which a smaller share of the pixels shows the surface are left out.
@@ -106,6 +114,54 @@ def read_recorded_heights(scene: Scene) -> RecordedHeights:
     return RecordedHeights(str(dsm.get("file")), float(undulation))
 
 
+@dataclass(frozen=True)
+class ViewSource:
+    """The files that virtual views are rendered from, and how.
+
+    Attributes:
+        colours: orthophoto.
+        heights: surface model.
+        undulation: height of the geoid above the ellipsoid, metres; None if it is not stated.
+        record: inputs and options.
+    """
+
+    colours: Raster
+    heights: Raster
+    undulation: float | None
+    record: ViewsRecord
+
+
+# More than six parameters: they are options of the command ``map``.
+def open_source(
+    orthophoto: Path,
+    dsm: Path,
+    undulation: float | None,
+    options: ViewOptions,
+    origin: Geodetic | None,
+    georeference: Georeference | None,
+    method: str | None = None,
+) -> ViewSource:
+    """Open the files of ``photograph_orthophoto``, which explains the arguments.
+
+    Args:
+        method: method that builds the map after the views; None without a map.
+
+    Raises:
+        InputError: a file cannot be used.
+    """
+    colours, heights = Raster.open(orthophoto, "orthophoto"), Raster.open(dsm, "surface model")
+    record = ViewsRecord(
+        orthophoto=SourceFile.of(orthophoto),
+        dsm=SourceFile.of(dsm),
+        undulation=undulation or 0.0,
+        views=options,
+        origin=origin,
+        georeference=georeference,
+        method=method,
+    )
+    return ViewSource(colours, heights, undulation, record)
+
+
 # More than six parameters: they are options of the command ``map``.
 def photograph_orthophoto(
     orthophoto: Path,
@@ -117,7 +173,7 @@ def photograph_orthophoto(
     origin: Geodetic | None = None,
     georeference: Georeference | None = None,
 ) -> VirtualReport:
-    """Render virtual photographs with exact depth from an orthophoto and a surface model.
+    """Render virtual photographs with exact depth, or continue an interrupted run.
 
     The scene has one session, ``virtual``, whose frames are all meant for the map. It has no map
     yet.
@@ -125,7 +181,7 @@ def photograph_orthophoto(
     Args:
         orthophoto: GeoTIFF of 8 bits in any reference system in metres.
         dsm: GeoTIFF of heights; it may have another reference system and resolution.
-        out: new or empty folder.
+        out: new folder, or one left by a run of the same files and options.
         undulation: height of the geoid above the ellipsoid, metres, for a surface model with
             heights above sea level; 0 means heights above the ellipsoid. None is taken as 0, and
             a note says so if the file does not state the vertical datum.
@@ -137,32 +193,48 @@ def photograph_orthophoto(
 
     Raises:
         InputError: a raster cannot be used, the rasters do not overlap, too few views show enough
-            surface, or ``out`` is not empty or cannot be written.
+            surface, or ``out`` holds other files, cannot be written or is being written by another
+            run.
     """
-    rasters = Raster.open(orthophoto, "orthophoto"), Raster.open(dsm, "surface model")
-    require_empty(out)
+    source = open_source(orthophoto, dsm, undulation, options, origin, georeference)
     check_output_folder(out, [orthophoto, dsm])
-    survey = survey_rasters(*rasters, undulation or 0.0, options, origin)
-    colours, heights = rasters
-    world_origin = survey.surface.origin
-    collar = [f"{orthophoto.name}: {survey.collar}"] if survey.collar else []
-    notes = (*colours.notes(world_origin), *collar, *heights.notes(world_origin, undulation))
-    camera = make_camera(options)
-    views = _plan_views(survey, camera, options)
+    with write_lock(out):
+        return render_views(source, out)
+
+
+def render_views(source: ViewSource, out: Path) -> VirtualReport:
+    """Render the views of a source, unless ``out`` holds them already.
+
+    The caller holds the lock of ``out``. If a file cannot be used, what was written is removed.
+
+    Raises:
+        InputError: for the reasons of ``photograph_orthophoto``.
+    """
+    record, colours, heights = source.record, source.colours, source.heights
+    finished = find_finished(out, record)
+    survey = survey_rasters(colours, heights, record.undulation, record.views, record.origin)
+    origin = survey.surface.origin
+    collar = [f"{colours.path.name}: {survey.collar}"] if survey.collar else []
+    notes = (*colours.notes(origin), *collar, *heights.notes(origin, source.undulation))
+    camera = make_camera(record.views)
+    views = _plan_views(survey, camera, record.views)
     if len(views.poses) < _MIN_VIEWS:
         raise InputError(
-            f"{len(views.poses)} views of {orthophoto} on {dsm} show enough surface, a map needs "
-            f"{_MIN_VIEWS}: choose a smaller --altitude"
+            f"{len(views.poses)} views of {colours.path} on {heights.path} show enough surface, a "
+            f"map needs {_MIN_VIEWS}: choose a smaller --altitude"
         )
-    config = {
-        "orthophoto": {"file": orthophoto.name, "sha256": sha256_of(orthophoto)},
-        "dsm": {"file": dsm.name, "sha256": sha256_of(dsm)},
-        "undulation": undulation or 0.0,
-        "views": options.model_dump(mode="json"),
-    }
-    with atomic_folder(out) as folder:
-        _write(folder, survey, camera, views.poses, MAX_DEPTH_ALTITUDES * survey.altitude)
-        finish_scene(folder, _manifest(world_origin, config, georeference))
+    if finished is None:
+        unfinished = open_unfinished(out, record)
+        unfinished.begin()
+        try:
+            _write(out, survey, camera, views.poses)
+        except WriteError:
+            raise  # a later run continues when the disk has room
+        except InputError:
+            remove_views(out, len(views.poses))
+            raise
+        finish_scene(out, _manifest(origin, record))
+        unfinished.end()
     return VirtualReport(
         len(views.poses),
         survey.altitude,
@@ -170,6 +242,12 @@ def photograph_orthophoto(
         views.left_out,
         notes,
     )
+
+
+def remove_views(out: Path, views: int) -> None:
+    """Remove the scene of a number of views from which no map can be built."""
+    lists = ("splits.json", "objects.json", COVISIBILITY, MANIFEST, f"sessions/{_FRAMES}")
+    remove_owned(out, {*lists, *(f"sessions/{name}" for name in _names(views))})
 
 
 class _Views(NamedTuple):
@@ -197,10 +275,14 @@ def _plan_views(survey: Survey, camera: Camera, options: ViewOptions) -> _Views:
     return _Views(np.array(poses).reshape(-1, 4, 4), len(grid) * len(directions) - len(poses))
 
 
-def _write(folder: Path, survey: Survey, camera: Camera, poses: Array, farthest: float) -> None:
+def _names(views: int) -> tuple[str, ...]:
+    return tuple(f"{SESSION}/images/{k:06d}.jpg" for k in range(views))
+
+
+def _write(folder: Path, survey: Survey, camera: Camera, poses: Array) -> None:
     """Render the views, and write the scene without its manifest."""
-    names = tuple(f"{SESSION}/images/{k:06d}.jpg" for k in range(len(poses)))
-    points = []
+    names, points = _names(len(poses)), []
+    farthest = MAX_DEPTH_ALTITUDES * survey.altitude
 
     def views() -> Iterator[dict[Layer, NDArray[Any]]]:
         with progress_bar("virtual views", len(poses)) as advance:
@@ -224,23 +306,21 @@ def _write(folder: Path, survey: Survey, camera: Camera, poses: Array, farthest:
         attitude_prior=unknown,
         attitude_sigma_deg=unknown[:, 0],
     )
-    write_frames(folder / "sessions" / SESSION / "frames.h5", frames, ["depth"], views())
+    write_frames(folder / "sessions" / _FRAMES, frames, ["depth"], views())
     write_json(folder / "splits.json", Splits(map=names, queries={}))
     write_json(folder / "objects.json", Objects(classes={}, objects=()))
     shares = visible_share(frames.cameras, poses, np.stack(points))
     write_covisibility(folder / COVISIBILITY, Covisibility(names, shares))
 
 
-def _manifest(
-    origin: Geodetic, config: dict[str, Any], georeference: Georeference | None
-) -> Manifest:
+def _manifest(origin: Geodetic, record: ViewsRecord) -> Manifest:
     return Manifest(
         versions={n: version(n) for n in ("objconnect", "rasterio", "numpy", "pillow", "h5py")},
         preset=None,
         seed=None,
-        config=config,
+        config=record.model_dump(mode="json"),
         origin=origin,
-        georeference=georeference,
+        georeference=record.georeference,
         sessions={SESSION: Session(condition="orthophoto", flight="virtual", role="map")},
         sha256={},
     )

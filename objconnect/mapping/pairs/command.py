@@ -18,6 +18,7 @@ from pydantic import Field
 from objconnect.ingestion.virtual.command import SESSION, VirtualReport, photograph_orthophoto
 from objconnect.ingestion.virtual.flight import make_camera
 from objconnect.ingestion.virtual.options import ViewOptions
+from objconnect.ingestion.virtual.record import SourceFile
 from objconnect.ingestion.virtual.survey import Survey, horizontal_bounds, survey_rasters
 from objconnect.mapping.build import build_map
 from objconnect.mapping.pairs.options import PairQueryOptions
@@ -37,7 +38,6 @@ from objconnect.scene.flights.textfiles import pose_line
 from objconnect.scene.geo.rasters import Raster
 from objconnect.scene.geometry.geodesy import Geodetic
 from objconnect.scene.storage.atomic import atomic_folder, write_text
-from objconnect.scene.storage.digests import sha256_of
 from objconnect.scene.storage.exif import Exif, write_jpeg
 from objconnect.scene.storage.outputs import check_output_folder, require_empty
 from objconnect.scene.storage.records import Record
@@ -58,13 +58,6 @@ _MAX_PIXEL_RATIO: Final = 4.0
 _MIN_SIDE: Final = 0.7
 # Decimals of poses in ``reference_poses.txt``.
 _DECIMALS: Final = 9
-
-
-class SourceFile(Record):
-    """A file that a flight data set was made of: its name and digest."""
-
-    file: str
-    sha256: str
 
 
 class PairRecord(Record):
@@ -198,9 +191,9 @@ def ingest_pair(
         moved, registration, pair = _align(pair, (mapped, other))
         error = _reference_error(registration, residual)
         record = PairRecord(
-            mapped=_source(mapped),
-            other=_source(other),
-            dsm=None if dsm is None else _source(dsm),
+            mapped=SourceFile.of(mapped),
+            other=SourceFile.of(other),
+            dsm=None if dsm is None else SourceFile.of(dsm),
             homography=None if matrix is None else tuple(tuple(row) for row in matrix.tolist()),
             undulation_m=undulation or 0.0,
             options=options,
@@ -290,10 +283,6 @@ def _reference_error(registration: Registration, residual: float | None) -> Refe
     if registration.largest_m is None:
         return ReferencePoseError(metres=None, source="unknown")
     return ReferencePoseError(metres=registration.largest_m, source="measured")
-
-
-def _source(path: Path) -> SourceFile:
-    return SourceFile(file=path.name, sha256=sha256_of(path))
 
 
 def _query_name(number: int) -> str:

@@ -86,8 +86,8 @@ class Scene:
         require_folder(path, "scene folder")
         if not (path / MANIFEST).is_file():
             raise InputError(
-                f"{path} is not a finished scene: it has no {MANIFEST} (run simulate or ingest "
-                "again on it to finish it)"
+                f"{path} is not a finished scene: it has no {MANIFEST} (run simulate, ingest or "
+                "map --ortho again on it to finish it)"
             )
         return Scene(path, read_json(path / MANIFEST, Manifest, "scene manifest"))
 
