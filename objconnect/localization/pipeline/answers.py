@@ -97,7 +97,7 @@ class ImageEstimate:
         source: source of the camera; None without a camera.
         seconds: time from the start of its sequence; None without a sequence.
         gps: position that a receiver measured, in the map's frame; None without one.
-        doubts: uncertain metadata of the photograph that were used nevertheless.
+        doubts: metadata of the photograph that are missing, uncertain or were not used.
     """
 
     name: str
@@ -235,6 +235,8 @@ def encode_files(
     poses, table, *also = (file.path for file in files)
     yield poses, _pose_lines(estimates).encode()
     yield table, _table(estimates, geography).encode()
+    if any(path.suffix.lower() in _TIMED_FORMATS for path in also):
+        _warn_of_missing_times(estimates, geography)
     for path in also:
         yield path, FURTHER_FORMATS[path.suffix.lower()](estimates, geography)
 
@@ -359,15 +361,20 @@ def _mcap(estimates: Sequence[ImageEstimate], geography: Geography) -> bytes:
 
 def _sort_by_time(estimates: Sequence[ImageEstimate], geography: Geography) -> list[StampedPose]:
     """Return the poses of the localized photographs that have a time, sorted by time."""
+    poses = [stamped for item in estimates if (stamped := item.to_stamped(geography)) is not None]
+    return sorted(poses, key=lambda stamped: stamped.microseconds)
+
+
+def _warn_of_missing_times(estimates: Sequence[ImageEstimate], geography: Geography) -> None:
+    """Warn of localized photographs without a time, which logs and bags leave out."""
     found = [item for item in estimates if item.is_localized]
-    poses = [stamped for item in found if (stamped := item.to_stamped(geography)) is not None]
-    if len(poses) < len(found):
+    untimed = sum(item.to_stamped(geography) is None for item in found)
+    if untimed:
         log.warning(
             "%d of %d photographs have no time and are left out of logs and bags",
-            len(found) - len(poses),
+            untimed,
             len(found),
         )
-    return sorted(poses, key=lambda stamped: stamped.microseconds)
 
 
 FURTHER_FORMATS: Final[Mapping[str, Callable[[Sequence[ImageEstimate], Geography], bytes]]] = {
@@ -378,6 +385,8 @@ FURTHER_FORMATS: Final[Mapping[str, Callable[[Sequence[ImageEstimate], Geography
 }
 """Formats of further files by their ending."""
 
+# Formats that hold only photographs with a time.
+_TIMED_FORMATS: Final = frozenset({".tlog", ".mcap"})
 # Functions that raise InputError if the package of a format is not installed.
 _PACKAGES: Final[Mapping[str, Callable[[], object]]] = {
     ".tlog": import_dialect,

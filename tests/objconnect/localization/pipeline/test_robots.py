@@ -92,6 +92,14 @@ def messages(path: Path) -> list[Any]:
     return found
 
 
+def test_missing_times_are_warned_of_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    write(tmp_path, Geography(UNDULATION, None, EXACT), "tlog", "mcap")
+    assert caplog.text.count("1 of 3 photographs have no time") == 1
+    caplog.clear()
+    write(tmp_path, Geography(UNDULATION, None, EXACT), "geojson", "kml")
+    assert "have no time" not in caplog.text
+
+
 def test_mavlink(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (path,) = write(tmp_path, Geography(UNDULATION, None, EXACT), "tlog")
     assert "1 of 3 photographs have no time" in caplog.text
