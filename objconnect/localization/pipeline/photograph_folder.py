@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -27,10 +27,14 @@ from objconnect.scene.errors import InputError
 from objconnect.scene.flights.priors import AssumedSigmas, MapFrame
 from objconnect.scene.flights.textfiles import read_priors, require_same_case
 from objconnect.scene.localizer import Estimate, Prior, Query
+from objconnect.scene.runtime.escaping import for_terminal
 from objconnect.scene.storage.files import require_folder
-from objconnect.scene.storage.listing import PHOTOGRAPHS, list_files
+from objconnect.scene.storage.listing import OTHER_PICTURES, PHOTOGRAPHS, list_files
 
 log = logging.getLogger(__name__)
+
+# Largest number of sub-folders that a message names.
+_MAX_NAMES: Final = 3
 
 
 def photographs_in(folder: Path) -> dict[str, Path]:
@@ -42,8 +46,35 @@ def photographs_in(folder: Path) -> dict[str, Path]:
     require_folder(folder, "folder of photographs")
     paths = list_files(folder, PHOTOGRAPHS)
     if not paths:
-        raise InputError(f"{folder} holds no photograph ({', '.join(PHOTOGRAPHS)})")
+        unread = _unread_pictures(folder)
+        hint = f"; not read: {unread}" if unread else ""
+        raise InputError(f"{folder} holds no photograph ({', '.join(PHOTOGRAPHS)}){hint}")
     return {path.name: path for path in paths}
+
+
+def _unread_pictures(folder: Path) -> str:
+    """Return a phrase that counts the pictures that ``photographs_in`` leaves out; empty if none.
+
+    These are photographs in sub-folders, and pictures of other kinds in the folder itself.
+    """
+    phrases = []
+    try:
+        paths = [path for path in list_files(folder, PHOTOGRAPHS, None) if path.parent != folder]
+    except InputError as error:  # a sub-folder that is not ours to read must not end the run
+        paths, phrases = [], [str(error)]
+    if paths:
+        names = list(dict.fromkeys(path.parent.relative_to(folder).as_posix() for path in paths))
+        more = [f"{len(names) - _MAX_NAMES} more"] if len(names) > _MAX_NAMES else []
+        where = ", ".join(names[:_MAX_NAMES] + more)
+        phrases.append(f"{_count(len(paths), 'photograph')} in sub-folders ({where})")
+    if others := list_files(folder, OTHER_PICTURES):
+        suffixes = sorted({path.suffix.lower() for path in others})
+        phrases.append(f"{_count(len(others), 'picture')} of other kinds ({', '.join(suffixes)})")
+    return " and ".join(phrases)
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 @dataclass(frozen=True)
@@ -75,6 +106,8 @@ class PhotographFolder:
     ) -> PhotographFolder:
         """List the photographs; read the table of priors and the times of a sequence.
 
+        Pictures that are not read are warned of.
+
         Args:
             folder: the folder.
             localization_map: map to localize in.
@@ -87,6 +120,8 @@ class PhotographFolder:
                 one.
         """
         paths = photographs_in(folder)
+        if unread := _unread_pictures(folder):
+            log.warning("%s: not read: %s", for_terminal(folder), for_terminal(unread))
         reader = PhotographReader(
             localization_map, options, _priors(paths, localization_map, options), undulation_m
         )
@@ -159,8 +194,9 @@ class PhotographFolder:
             return QueryImage(name, time=time, seconds=seconds, reason=reason)
         if sequence is None or image.calibration is None or not image.calibration.others:
             return image
-        doubts = f" ({'; '.join(reader.exif(path).lens_doubts)})" if image.doubts else ""
-        reason = f"the focal length of {path} is unknown{doubts}: give --camera"
+        doubts = "; ".join(reader.exif(path).lens_doubts)
+        why = f" ({doubts})" if doubts else ""
+        reason = f"the focal length of {path} is unknown{why}: give --camera"
         return replace(image, query=None, reason=reason)
 
 

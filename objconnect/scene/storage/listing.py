@@ -11,6 +11,11 @@ from objconnect.scene.errors import InputError
 
 PHOTOGRAPHS: Final = (".jpg", ".jpeg", ".png")
 """Suffixes of photographs, in lower case."""
+OTHER_PICTURES: Final = (
+    *(".tif", ".tiff", ".webp", ".heic", ".heif", ".avif", ".bmp", ".gif", ".jp2"),
+    *(".dng", ".raw", ".arw", ".cr2", ".cr3", ".nef", ".orf", ".raf", ".rw2"),
+)
+"""Suffixes of pictures that are not read as photographs, in lower case."""
 
 # Files and folders that file managers create, besides hidden ones.
 _FILE_MANAGER_NAMES: Final = frozenset({"thumbs.db", "desktop.ini", "__macosx"})

@@ -168,6 +168,48 @@ def test_nothing_to_localize_or_nowhere(
     assert "must hold numbers lat, lon (degrees) and alt" in answer.stderr
 
 
+def test_pictures_that_are_not_read_are_counted(
+    made_flight: Path,
+    photographs: Path,
+    tmp_path: Path,
+    method: Remembering,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    def count_warnings() -> int:
+        caplog.clear()
+        answer = run(made_flight, photographs, tmp_path / "p.txt")
+        assert answer.exit_code == 0 and "of 3 photographs" in answer.stdout, answer.stderr
+        return sum("not read" in record.getMessage() for record in caplog.records)
+
+    (photographs / "notes.txt").touch()
+    (photographs / "empty").mkdir()
+    assert count_warnings() == 0
+    for name in ("one/a.jpg", "one/b.JPG", "two/deep/c.png", ".hidden/d.jpg"):
+        (photographs / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(photographs / "b.jpg", photographs / name)
+    for name in ("a.TIF", "b.webp", "c.tif", "one/d.tif"):
+        (photographs / name).touch()
+    assert count_warnings() == 1
+    assert (
+        "not read: 3 photographs in sub-folders (one, two/deep) and 3 pictures of other kinds "
+        "(.tif, .webp)"
+    ) in caplog.text
+
+
+def test_the_error_of_an_empty_folder_names_its_sub_folders(
+    made_flight: Path, photographs: Path, tmp_path: Path, method: Remembering
+) -> None:
+    card = tmp_path / "card"
+    for name in ("100MEDIA", "101MEDIA", "102MEDIA", "103MEDIA", "104MEDIA"):
+        shutil.copytree(photographs, card / name)
+    answer = run(made_flight, card, tmp_path / "p.txt")
+    assert answer.exit_code == 2
+    assert (
+        "(.jpg, .jpeg, .png); not read: 15 photographs in sub-folders (100MEDIA, 101MEDIA, "
+        "102MEDIA, 2 more)"
+    ) in answer.stderr
+
+
 def test_the_risk_is_that_of_the_search(
     made_flight: Path, photographs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
