@@ -41,3 +41,38 @@ def test_the_receiver_s_clock_checks_the_camera_s(
 def test_around_midnight_a_stamp_without_a_date_is_near() -> None:
     late = {"DateTimeOriginal": "2026:06:01 23:59:50"}
     assert not read_time(late, {"GPSTimeStamp": (0.0, 0.0, 5.0)}).doubts
+
+
+@pytest.mark.parametrize(
+    ("stamp", "offset", "time"),
+    [
+        ("2026-06-01T10:00:00Z", "", TEN),
+        ("2026-06-01T10:00:00Z", "+02:00", TEN),
+        ("2026-06-01T12:00:00", "+02:00", TEN),
+        ("2026-06-01 12:00:00+0200", "", TEN),
+        ("2026-06-01T10:00:00.25", "", TEN.replace(microsecond=250_000)),
+        ("2026:06:01 10:00:00\0", "", TEN),
+    ],
+)
+def test_times_of_programs(stamp: str, offset: str, time: datetime) -> None:
+    read = read_time({"DateTimeOriginal": stamp, "OffsetTimeOriginal": offset}, {})
+    assert (read.value, read.doubts) == (time, ())
+
+
+@pytest.mark.parametrize(
+    "stamp", ["0000:00:00 00:00:00", "2026-06-01", "2026-13-01T10:00:00Z", "noon", "9" * 1000]
+)
+def test_what_is_not_a_time_is_named(stamp: str) -> None:
+    read = read_time({"DateTimeOriginal": stamp}, {})
+    assert read.value is None and len(read.why) < 80
+    assert read.why == f"DateTimeOriginal {stamp[:40]!r} is not a time"
+
+
+def test_an_offset_that_cannot_be_read_is_named() -> None:
+    read = read_time(NOON | {"OffsetTimeOriginal": "junk"}, {})
+    assert read.value == TEN.replace(hour=12)
+    assert read.why == "OffsetTimeOriginal 'junk' is not an offset from UTC"
+
+
+def test_without_a_time_there_is_nothing_to_doubt() -> None:
+    assert (read_time({}, {}).value, read_time({}, {}).doubts) == (None, ())
