@@ -6,6 +6,7 @@ import logging
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +23,17 @@ from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic, geode
 from objconnect.scene.localizer import Estimate
 from objconnect.scene.maps.colmap_files import read_model
 from objconnect.scene.maps.sparse_map import SparseMap
+from objconnect.scene.quantities.altitudes import LARGEST_DIFFERENCE_M
+from objconnect.scene.quantities.coordinate_order import REACH_M
+from objconnect.scene.quantities.reading import Reading, known, unknown
 from objconnect.scene.storage.files import require_folder
 
 log = logging.getLogger(__name__)
+
+# No drone flies higher above the ground of its map (m).
+_HIGHEST_FLIGHT_M: Final = 10_000.0
+# Percentage of a map's points that are below its lowest ground, as errors of triangulation are.
+_BELOW_GROUND: Final = 1.0
 
 
 @dataclass(frozen=True)
@@ -47,6 +56,35 @@ class LocalizationMap:
     def cameras(self) -> frozenset[Camera]:
         """Return the cameras of the map's photographs."""
         return frozenset(image.camera for image in self.sparse_map.images.values())
+
+    @cached_property
+    def _lowest_ground(self) -> float:
+        """Return the height of the lowest ground in the map's frame, metres."""
+        return float(np.percentile(self.sparse_map.xyz[:, 2], _BELOW_GROUND))
+
+    def check_place(self, place: Geodetic, origin: Geodetic) -> Reading[Geodetic]:
+        """Return a measured position without what cannot be true of a photograph of this map.
+
+        The position is unknown if it is out of reach of the map. Its altitude is unknown (NaN) if
+        no drone flies as high above the map's lowest ground, or if it is farther below this ground
+        than altitudes differ whose references are confused.
+
+        Args:
+            place: the position; its altitude is NaN if unknown.
+            origin: position of the map's origin on earth.
+        """
+        source = "position"
+        level = place._replace(altitude=origin.altitude)
+        distance = float(np.linalg.norm(enu_from_geodetic(level, origin)))
+        if distance > REACH_M:
+            doubt = f"its position is {distance / 1000:.0f} km from the map and is not used"
+            return unknown(source, doubt)
+        height = place.altitude - origin.altitude - self._lowest_ground
+        if height > _HIGHEST_FLIGHT_M or height < -LARGEST_DIFFERENCE_M:
+            where = f"{abs(height):.0f} m {'above' if height > 0 else 'below'} the map's ground"
+            doubt = f"its altitude is {where} and is not used"
+            return known(place._replace(altitude=np.nan), source, doubt)
+        return known(place, source)
 
     def to_map_frame(
         self, place: Geodetic, origin: Geodetic, sigma: NDArray[np.float64]

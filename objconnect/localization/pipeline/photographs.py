@@ -24,10 +24,10 @@ from objconnect.localization.pipeline.query_image import QueryImage
 from objconnect.scene.errors import InputError
 from objconnect.scene.geo.sea_level import convert_to_ellipsoid
 from objconnect.scene.geometry.camera import Camera
-from objconnect.scene.geometry.geodesy import Geodetic, enu_from_geodetic
+from objconnect.scene.geometry.geodesy import Geodetic
 from objconnect.scene.localizer import Estimate, Prior, Query
-from objconnect.scene.quantities.coordinate_order import REACH_M
 from objconnect.scene.quantities.doubts import summarize_doubts
+from objconnect.scene.quantities.reading import Reading, unknown
 from objconnect.scene.runtime.progress import progress_bar
 from objconnect.scene.storage.exif import Exif, read_exif
 from objconnect.scene.storage.images import image_size, read_rgb
@@ -77,13 +77,15 @@ class PhotographReader:
         calibration = self.calibration(exif, (pixels.shape[1], pixels.shape[0]))
         measured = self._read_prior(exif)
         prior = measured if self.priors is None else self.priors.get(name)
+        is_estimated = calibration.source is CameraSource.ESTIMATED and not exif.lens_doubts
+        lens = ("EXIF has no focal length",) if is_estimated else ()
         return QueryImage(
             name,
             Query(name, pixels, calibration.camera, prior),
             calibration,
             exif.time,
             gps=measured,
-            doubts=self.doubts(exif),
+            doubts=(*self.doubts(exif), *lens),
         )
 
     def exif(self, path: Path) -> Exif:
@@ -105,38 +107,39 @@ class PhotographReader:
         return calibration_of(size, exif, self.localization_map.cameras)
 
     def doubts(self, exif: Exif) -> tuple[str, ...]:
-        """Return the uncertain metadata that are used nevertheless.
+        """Return which metadata are missing, uncertain, or not used because they cannot be true.
 
-        Metadata that the user's camera or table of priors replaces are left out.
+        Metadata that the user's camera or table of priors replaces are left out. A missing focal
+        length is left out too, because ``add_estimates`` warns of it.
         """
-        position: tuple[str, ...] = ()
-        if self.priors is None and self.localization_map.origin is not None:
-            position = (
-                *exif.place_doubts,
-                *self._distance_doubt(exif, self.localization_map.origin),
-            )
+        place = self._read_place(exif).doubts if self.priors is None else ()
         lens = exif.lens_doubts if self.options.camera is None else ()
-        return (*position, *lens, *exif.capture_doubts)
+        capture = exif.capture_doubts
+        if exif.time is None and not any("DateTimeOriginal" in doubt for doubt in capture):
+            capture = (*capture, "DateTimeOriginal is missing")
+        return (*place, *lens, *capture)
 
-    def _distance_doubt(self, exif: Exif, origin: Geodetic) -> list[str]:
+    def _read_place(self, exif: Exif) -> Reading[Geodetic]:
+        """Return the position in EXIF, if the map has one on earth and it can be true there."""
+        origin, source = self.localization_map.origin, "position"
+        if origin is None:
+            return unknown(source)
         if exif.position is None:
-            return []
-        position = exif.position._replace(altitude=origin.altitude)
-        distance = float(np.linalg.norm(enu_from_geodetic(position, origin)))
-        if distance <= REACH_M:
-            return []
-        return [f"its position is {distance / 1000:.0f} km from the map"]
+            return unknown(source, *(exif.place_doubts or ["GPSLatitude is missing"]))
+        checked = self.localization_map.check_place(exif.position, origin)
+        return replace(checked, doubts=(*exif.place_doubts, *checked.doubts))
 
     def _read_prior(self, exif: Exif) -> Prior | None:
         """Return the prior of the position in EXIF, and the sigma and attitude in XMP.
 
-        It is None if the photograph has no position or the map no position on earth.
+        It is None if the photograph has no position that can be true, or the map no position on
+        earth.
         """
-        origin = self.localization_map.origin
-        if exif.position is None or origin is None:
+        origin, place = self.localization_map.origin, self._read_place(exif).value
+        if place is None or origin is None:
             return None
         sigma = np.array(exif.xmp.rtk_sigma or (self.options.gps_sigma_m,) * 3)
-        prior = Prior(*self.localization_map.to_map_frame(exif.position, origin, sigma))
+        prior = Prior(*self.localization_map.to_map_frame(place, origin, sigma))
         if exif.gimbal is None:
             return prior
         return replace(

@@ -20,7 +20,7 @@ class QueryImage:
         time: time at which the image was taken; None if unknown.
         seconds: time from the start of its sequence; None without a sequence, or if unknown.
         gps: position that a receiver measured, in the map's frame; None without one.
-        doubts: uncertain metadata or telemetry that is used nevertheless.
+        doubts: metadata or telemetry that is missing, uncertain or not used.
         reason: why the image cannot be localized; empty if it can.
     """
 

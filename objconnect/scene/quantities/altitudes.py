@@ -16,8 +16,9 @@ from objconnect.scene.quantities.reading import Reading, known, unknown
 
 # No aircraft flies higher than this (m).
 _HIGHEST_M: Final = 1e6
-# Largest difference (m) of altitudes above the ellipsoid and above the sea, with barometer drift.
-_LARGEST_DIFFERENCE_M: Final = 150.0
+LARGEST_DIFFERENCE_M: Final = 150.0
+"""Largest difference (m) of altitudes above the ellipsoid and above the sea, with barometer
+drift."""
 SEA_LEVEL_DOUBT: Final = "says sea level, which may be 100 m from the ellipsoid"
 """End of the warning about an altitude that refers to sea level."""
 
@@ -41,7 +42,7 @@ def read_altitude(gps: Mapping[str, object], xmp: Mapping[str, str]) -> Reading[
     """
     from_exif, from_xmp = _read_exif(gps, ""), _read_xmp(xmp)
     if from_exif.value is not None and from_xmp.value is not None:
-        if abs(from_exif.value - from_xmp.value) > _LARGEST_DIFFERENCE_M:
+        if abs(from_exif.value - from_xmp.value) > LARGEST_DIFFERENCE_M:
             why = (
                 f"{from_exif.source} {from_exif.value:.0f} m contradicts "
                 f"{from_xmp.source} {from_xmp.value:.0f} m"

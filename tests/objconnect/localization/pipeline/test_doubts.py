@@ -8,7 +8,9 @@ import logging
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 from typer.testing import CliRunner, Result
 
 import objconnect.methods
@@ -35,6 +37,9 @@ CONTRADICTION = {
     "FocalLengthIn35mmFilm": raw.short(24),
 }
 FIELDS = ("FocalPlaneXResolution", "FocalLengthIn35mmFilm")
+
+
+TIME = {"DateTimeOriginal": raw.text("2026:06:01 12:00:00")}
 
 
 def run(*words: object) -> Result:
@@ -66,8 +71,9 @@ def method(monkeypatch: pytest.MonkeyPatch) -> FakeLocalizer:
 def photographs(
     place: Path, folder: Path, detail: dict[str, raw.Field], gps: dict[str, raw.Field]
 ) -> Path:
-    """The queries of a flight with fields of our own."""
+    """The queries of a flight with fields of our own, and a time if these have none."""
     folder.mkdir()
+    detail = TIME | detail
     for name in QUERY_NAMES:
         height, width = read_rgb(place / "images" / name).shape[:2]
         raw.write(folder / name, (width, height), raw.exif(detail, gps))
@@ -155,5 +161,76 @@ def test_a_position_far_from_the_map_is_said(
     answer = run("--map", place, "--images", folder, "--out", tmp_path / "t.txt")
     assert answer.exit_code == 0, answer.stderr
     row = rows_of(tmp_path / "t.csv")["d.jpg"]
-    assert row["reason"] == "its position is 76 km from the map"
+    assert row["reason"] == "its position is 76 km from the map and is not used"
     assert "76 km from the map" in caplog.text
+    assert method.seen[-1].prior is None
+
+
+@pytest.mark.parametrize(
+    ("metres", "below", "said"),
+    [
+        (500.0, 0, ""),
+        (10_000.0, 0, ""),
+        (100_000.0, 0, "m above the map's ground and is not used"),
+        (301.0, 0, ""),  # the ground is at 449 to 451 m
+        (297.0, 0, "its altitude is 152 m below the map's ground and is not used"),
+        (500.0, 1, "m below the map's ground and is not used"),
+    ],
+)
+def test_an_altitude_that_cannot_be_true_is_unknown(
+    place: Path, method: FakeLocalizer, tmp_path: Path, metres: float, below: int, said: str
+) -> None:
+    gps = PLACE | {"GPSAltitude": raw.rational(metres), "GPSAltitudeRef": raw.byte(below)}
+    folder = photographs(place, tmp_path / "new", {}, gps)
+    answer = run("--map", place, "--images", folder, "--out", tmp_path / "t.txt")
+    assert answer.exit_code == 0, answer.stderr
+    prior = method.seen[-1].prior
+    assert prior is not None and prior.position_sigma is not None
+    reason = rows_of(tmp_path / "t.csv")["d.jpg"]["reason"]
+    if said:
+        assert said in reason
+        assert prior.position[2] == pytest.approx(40) and np.isinf(prior.position_sigma[2])
+    else:
+        assert reason == ""
+        assert prior.position[2] == pytest.approx(metres - 450, abs=0.1)
+        assert prior.position_sigma[2] == 10
+
+
+@pytest.mark.parametrize(
+    ("time", "said"),
+    [
+        ("0000:00:00 00:00:00", "DateTimeOriginal '0000:00:00 00:00:00' is not a time"),
+        ("", "DateTimeOriginal is missing"),
+        ("2026-06-01T12:00:00Z", ""),
+    ],
+)
+def test_a_time_that_cannot_be_read_is_named(
+    place: Path,
+    method: FakeLocalizer,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+    time: str,
+    said: str,
+) -> None:
+    caplog.set_level(logging.WARNING)
+    gps = PLACE | {"GPSAltitude": raw.rational(500.0), "GPSAltitudeRef": raw.byte(0)}
+    folder = photographs(place, tmp_path / "new", {"DateTimeOriginal": raw.text(time)}, gps)
+    answer = run("--map", place, "--images", folder, "--out", tmp_path / "t.txt")
+    assert answer.exit_code == 0, answer.stderr
+    row = rows_of(tmp_path / "t.csv")["d.jpg"]
+    assert row["reason"] == said and bool(row["time"]) == (not said)
+    assert said in caplog.text and ("DateTimeOriginal" in caplog.text) == bool(said)
+
+
+def test_without_exif_the_reason_says_what_is_missing(
+    place: Path, method: FakeLocalizer, tmp_path: Path
+) -> None:
+    folder = tmp_path / "new"
+    folder.mkdir()
+    Image.new("RGB", (90, 40)).save(folder / "d.jpg")  # of no camera of the map
+    words = ("--map", place, "--images", folder, "--out", tmp_path / "t.txt")
+    assert run(*words).exit_code == 0
+    missing = "GPSLatitude is missing; DateTimeOriginal is missing"
+    assert rows_of(tmp_path / "t.csv")["d.jpg"]["reason"] == f"{missing}; EXIF has no focal length"
+    refused = run(*words, "--sequence", "--rate", 1)
+    assert refused.exit_code == 2 and "d.jpg is unknown: give --camera" in refused.stderr

@@ -89,7 +89,8 @@ def test_poses_and_places(
     assert [rows[n]["by"] for n in QUERY_NAMES] == ["matches", "prior", ""]
     assert float(rows["b.jpg"]["sigma_m"]) == pytest.approx(0.7)
     assert [rows[n]["probability"] for n in QUERY_NAMES] == ["0.98765", "", ""]
-    assert rows["f.jpg"]["reason"] == "3 matches, 4 are needed"
+    missing = "GPSLatitude is missing; DateTimeOriginal is missing"
+    assert rows["f.jpg"]["reason"] == f"3 matches, 4 are needed; {missing}"
     place = Geodetic(*(float(rows["b.jpg"][k]) for k in ("latitude", "longitude", "altitude")))
     centre = enu_from_geodetic(place, ORIGIN)
     assert np.abs(centre - pose_at(1).centre().numpy()).max() < 0.01

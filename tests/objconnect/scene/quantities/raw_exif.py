@@ -19,9 +19,9 @@ GPS = {
     "GPSAltitudeRef": 5, "GPSAltitude": 6, "GPSStatus": 9, "GPSMapDatum": 18,
 }  # fmt: skip
 DETAIL = {
-    "ExifVersion": 0x9000, "FocalLength": 0x920A, "ExifImageWidth": 0xA002,
-    "ExifImageHeight": 0xA003, "FocalPlaneXResolution": 0xA20E, "FocalPlaneYResolution": 0xA20F,
-    "FocalPlaneResolutionUnit": 0xA210, "DigitalZoomRatio": 0xA404,
+    "ExifVersion": 0x9000, "DateTimeOriginal": 0x9003, "FocalLength": 0x920A,
+    "ExifImageWidth": 0xA002, "ExifImageHeight": 0xA003, "FocalPlaneXResolution": 0xA20E,
+    "FocalPlaneYResolution": 0xA20F, "FocalPlaneResolutionUnit": 0xA210, "DigitalZoomRatio": 0xA404,
     "FocalLengthIn35mmFilm": 0xA405,
 }  # fmt: skip
 
