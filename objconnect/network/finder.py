@@ -10,7 +10,6 @@ from pydantic import Field
 from torch import Tensor
 
 from objconnect.localization.coarse.headings import (
-    ALTITUDE_RATIOS,
     TILTS_DEG,
     TiltOptions,
     has_attitude,
@@ -27,6 +26,9 @@ from objconnect.network.object_matching import ObjectMatcher
 from objconnect.network.object_pairs import Bounds
 from objconnect.scene.localizer import Prior, Query
 
+ALTITUDE_RATIOS: Final = (0.5, 0.6, 0.72, 0.87, 1.04, 1.25, 1.5)
+"""Heights above ground to try where the altitude is unknown, relative to the height of the map's
+photographs. Each is a fifth larger than the one before."""
 # Number of evenly spaced headings that are tried if the heading is unknown. Poses with headings
 # near them are allowed.
 _HEADINGS: Final = 24

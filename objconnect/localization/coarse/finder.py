@@ -17,7 +17,6 @@ from objconnect.localization.cache.map_cache import EarlierRows, MapCache
 from objconnect.localization.cache.store import Rows
 from objconnect.localization.coarse.grid import GroundGrid, ground_grid
 from objconnect.localization.coarse.headings import (
-    ALTITUDE_RATIOS,
     NO_TILT,
     TiltOptions,
     has_attitude,
@@ -57,6 +56,9 @@ _TURNS: Final = 5
 _CELL_PX: Final = 16
 # Number of principal components to which features are reduced. It bounds time and memory.
 _CHANNELS: Final = 32
+ALTITUDE_RATIOS: Final = (0.5, 0.57, 0.66, 0.76, 0.87, 1.0, 1.15, 1.32, 1.52, 1.74, 2.0)
+"""Heights above ground to try where the altitude is unknown, relative to the height of the map's
+photographs. Each is about 15 % larger than the one before."""
 LONGER_SIDE_PX: Final = 256
 """Photographs are resized to about this longer side (px), so that the features of
 a cell describe a large patch of ground."""

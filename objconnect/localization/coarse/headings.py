@@ -1,4 +1,4 @@
-"""Headings, tilts and altitudes that a search tries, given a prior."""
+"""Headings and tilts that a search tries, given a prior."""
 
 from __future__ import annotations
 
@@ -17,10 +17,6 @@ from objconnect.scene.localizer import Prior
 
 _DOWN: Final = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
 
-ALTITUDE_RATIOS: Final = (0.5, 0.6, 0.72, 0.87, 1.04, 1.25, 1.5)
-"""Heights above ground to try where the altitude is unknown, relative to the height of the map's
-photographs. Each is a fifth larger than the one before, because features tolerate a change of scale
-by a tenth."""
 NO_TILT: Final = torch.eye(3, dtype=torch.float64)
 """The identity: the rotation that adds no tilt."""
 TILTS_DEG: Final = (0.0, 15.0, 30.0, 45.0, 60.0)

@@ -44,8 +44,7 @@ class Candidate:
 
     Attributes:
         pose: ``cam_from_world``.
-        score: correlation with the mosaic, at most 1, in the coarse search; other finders
-            define their own scores.
+        score: ``Peak.score`` in the coarse search; other finders define their own scores.
         by: source of the candidate.
     """
 
@@ -95,11 +94,14 @@ class Peak(NamedTuple):
     """A peak of the correlation under one hypothesis.
 
     Attributes:
-        score: correlation, at most 1.
+        score: correlation, divided by ``noise``.
         x: world metres, east.
         y: world metres, north.
         altitude: height above ground, metres.
         rotation: (3, 3) ``cam_from_world``.
+        noise: root mean square of the correlations at this tilt and altitude, over all headings and
+            positions. It is larger where the query covers little ground, so that wrong poses
+            correlate more by chance.
     """
 
     score: float
@@ -107,13 +109,29 @@ class Peak(NamedTuple):
     y: float
     altitude: float
     rotation: Tensor
+    noise: float
+
+
+class RoughPeaks(NamedTuple):
+    """The peaks of one view at one tilt and altitude, over all turns.
+
+    Attributes:
+        peaks: the peaks; their noise is 1.
+        squares: sum of the squared correlations over all turns and positions.
+        number: number of these correlations.
+    """
+
+    peaks: list[Peak]
+    squares: float
+    number: int
 
 
 class MosaicSearch:
     """Finds the poses at which a query correlates best with a mosaic.
 
     All hypotheses are compared at the positions of the mosaic's cells, in a large mosaic at a lower
-    resolution. The best peaks are refined in six dimensions at full resolution.
+    resolution. Correlations are divided by their noise. The best peaks are refined in six
+    dimensions at full resolution.
 
     Args:
         mosaic: mosaic of the map.
@@ -172,7 +190,8 @@ class MosaicSearch:
             hypotheses: headings, altitudes, tilts and region to search.
             count: maximum number of candidates.
         """
-        rough = [*map_in_threads(lambda each: list(self._peaks(each, hypotheses)), views)]
+        searched = map_in_threads(lambda each: list(self._peaks(each, hypotheses)), views)
+        rough = _divide_by_noise([*searched])
         number = _NUM_REFINED * len(self._halved)
         best = self._select([peak for peaks in rough for peak in peaks], number)
         chosen = {id(peak) for peak in best}
@@ -189,8 +208,8 @@ class MosaicSearch:
         ]
         return [self._candidate(peak) for peak in self._select(refined, count)]
 
-    def _peaks(self, query: QueryView, hypotheses: Hypotheses) -> Iterator[Peak]:
-        """Yield the peaks of one view of the query, for each tilt and altitude."""
+    def _peaks(self, query: QueryView, hypotheses: Hypotheses) -> Iterator[RoughPeaks]:
+        """Yield the peaks of one view of the query at each tilt and altitude."""
         scorer = query.rough_scorer
         mosaic = self._halved[-1]
         grid, known = mosaic.grid, mosaic.known
@@ -208,15 +227,19 @@ class MosaicSearch:
             total = weights.sum(1).clamp_min(_MIN_WEIGHT)[:, None, None]
             compared = weights[:, ::_KNOWN_EVERY].sum(1).clamp_min(_MIN_WEIGHT)[:, None, None]
             share = overlaps / compared
-            scores = (sums / (share.sqrt() * total)).masked_fill_(share < MIN_OVERLAP, -1.0).cpu()
+            is_known = share >= MIN_OVERLAP
+            scores = (sums / (share.sqrt() * total)).where(is_known, 0.0).cpu()
+            squares = scores.square().view(len(altitude), -1).sum(1).tolist()
+            number = is_known.view(len(altitude), -1).sum(1).tolist()
             first = torch.from_numpy(grid.origin) + grid.cell / 2 - to_middle
             if hypotheses.region is not None:
-                scores[_distance_from(hypotheses.region, first, grid) > hypotheses.region[2]] = -1.0
-            yield from self._find_peaks(scores, first, rotations, hypotheses.altitudes)
+                scores[_distance_from(hypotheses.region, first, grid) > hypotheses.region[2]] = 0.0
+            peaks = self._find_peaks(scores, first, rotations, hypotheses.altitudes)
+            yield from map(RoughPeaks, peaks, squares, number)
 
     def _find_peaks(
         self, scores: Tensor, first: Tensor, rotations: Tensor, altitudes: Sequence[float]
-    ) -> Iterator[Peak]:
+    ) -> Iterator[list[Peak]]:
         """Yield the highest peaks at each altitude, over all turns.
 
         Args:
@@ -231,6 +254,7 @@ class MosaicSearch:
         score, turn = best.values.numpy(), best.indices.numpy()
         cells = max(1, round(self._separation / grid.cell))
         for k, altitude in enumerate(altitudes):
+            peaks: list[Peak] = []
             for _ in range(_PEAKS):
                 row, column = divmod(int(score[k].argmax()), columns)
                 value = float(score[k, row, column])
@@ -238,9 +262,10 @@ class MosaicSearch:
                     break
                 hypothesis = k * (len(scores) // count) + int(turn[k, row, column])
                 x, y = (first[hypothesis] + grid.cell * torch.tensor([column, row])).tolist()
-                yield Peak(value, x, y, altitude, rotations[hypothesis])
+                peaks.append(Peak(value, x, y, altitude, rotations[hypothesis], 1.0))
                 south, west = max(0, row - cells), max(0, column - cells)
-                score[k, south : row + cells + 1, west : column + cells + 1] = -1.0
+                score[k, south : row + cells + 1, west : column + cells + 1] = 0.0
+            yield peaks
 
     def _refine(self, scorer: ViewScorer, peaks: Sequence[Peak]) -> list[Peak]:
         """Return the peaks of one view of the query, refined."""
@@ -252,8 +277,14 @@ class MosaicSearch:
         to_middle = middle(*scorer.project_to_ground(rotation, altitude))
         poses, centres, scores = scorer.refine(CoarsePoses(rotation, altitude, centre + to_middle))
         return [
-            Peak(float(scores[k]), x, y, float(poses.altitude[k]), poses.rotation[k])
-            for k, (x, y) in enumerate(centres.tolist())
+            peak._replace(
+                score=float(scores[k]) / peak.noise,
+                x=x,
+                y=y,
+                altitude=float(poses.altitude[k]),
+                rotation=poses.rotation[k],
+            )
+            for k, (peak, (x, y)) in enumerate(zip(peaks, centres.tolist(), strict=True))
         ]
 
     def _select(self, peaks: Sequence[Peak], count: int) -> list[Peak]:
@@ -272,6 +303,26 @@ class MosaicSearch:
         z = self._mosaic.grid.height_at(peak.x, peak.y) + peak.altitude
         centre = torch.tensor([peak.x, peak.y, z], dtype=torch.float64)
         return Candidate(Pose(peak.rotation, -peak.rotation @ centre), peak.score)
+
+
+def _divide_by_noise(rough: Sequence[Sequence[RoughPeaks]]) -> list[list[Peak]]:
+    """Return the peaks of each view, with scores divided by the noise.
+
+    Args:
+        rough: peaks of each view, in the same order of tilts and altitudes for all views.
+    """
+    noises = [
+        math.sqrt(sum(each.squares for each in group) / max(1, sum(each.number for each in group)))
+        for group in zip(*rough, strict=True)
+    ]
+    return [
+        [
+            peak._replace(score=peak.score / noise, noise=noise)
+            for found, noise in zip(view, noises, strict=True)
+            for peak in found.peaks
+        ]
+        for view in rough
+    ]
 
 
 def _distance_from(region: tuple[float, float, float], first: Tensor, grid: GroundGrid) -> Tensor:

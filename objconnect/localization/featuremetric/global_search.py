@@ -1,8 +1,9 @@
 """Localization of an image with an incomplete or missing prior.
 
 SIFT matches, objects of the map, the coarse search and the method of the option ``search.matcher``
-give candidates. The best candidate of each is refined, then its other candidates whose rough
-alignment has a high peak-to-sidelobe ratio. The first probable refined pose ends the search.
+give candidates. The first candidate of all is refined, then those whose rough alignment has a high
+peak-to-sidelobe ratio, and last the few best of the others. The first probable refined pose ends
+the search.
 """
 
 from __future__ import annotations
@@ -48,9 +49,9 @@ _CLEAR_PEAK: Final = 1.5
 # The alignment of a candidate ends early below this many times ``search.least_peak``: at the full
 # resolution of the image, peaks of right candidates are higher than after a rough alignment.
 _SEARCHED_PEAK: Final = 1.15
-# Maximum number of candidates of a list that are refined for their rough alignments alone. A right
-# one is nearly always among them.
-_MOST_UNCLEAR: Final = 2
+# Maximum number of candidates without a clear peak that are refined. A right one is nearly always
+# among them.
+_MOST_UNCLEAR: Final = 3
 # Errors of a candidate up to which its aligned pose is the answer: metres and degrees. They are
 # those of a usual prior, from which an image is aligned once.
 _NEAR: Final = SearchRadius(3.0, 5.0)
@@ -128,16 +129,15 @@ class GlobalSearch:
                 return answer
         options = self.refine.config.search
         tried: list[Candidate] = []
-        for candidates in self.find(query, clock):
-            for candidate in self._select_promising(query, candidates, clock):
-                attempts.append(self._align(query, candidate, clock))
-                tried.append(candidate)
-                if is_probable(attempts, options, rivals):
-                    best, _ = select_likeliest(attempts)
-                    if best is not attempts[-1] or not _is_near(candidate.pose, best.pose):
-                        # Warped from the new pose, the image is rotated and scaled better.
-                        attempts.append(self.refine.align_near(query, best.pose, clock))
-                    return self._select_best(attempts, candidate, clock, rivals)
+        for candidate in self._select_promising(query, clock):
+            attempts.append(self._align(query, candidate, clock))
+            tried.append(candidate)
+            if is_probable(attempts, options, rivals):
+                best, _ = select_likeliest(attempts)
+                if best is not attempts[-1] or not _is_near(candidate.pose, best.pose):
+                    # Warped from the new pose, the image is rotated and scaled better.
+                    attempts.append(self.refine.align_near(query, best.pose, clock))
+                return self._select_best(attempts, candidate, clock, rivals)
         if self.coarse is None or not tried:
             return None
         return self._select_best(attempts, tried[0], clock, rivals)
@@ -148,36 +148,40 @@ class GlobalSearch:
         least_peak = _SEARCHED_PEAK * self.refine.config.search.least_peak
         return self.refine.align_near(query, candidate.pose, clock, radius, least_peak)
 
-    def _select_promising(
-        self, query: Query, candidates: Sequence[Candidate], clock: Stopwatch
-    ) -> Iterator[Candidate]:
-        """Yield the candidates of a finder that are worth a full alignment.
+    def _select_promising(self, query: Query, clock: Stopwatch) -> Iterator[Candidate]:
+        """Yield the candidates that are worth a full alignment.
 
-        The first is often right and is not screened. The others are screened in their order, if the
-        first gives no probable pose. One with a clear peak, or in a picture too small for
-        screening, is yielded at once. Of the others of at least ``search.least_peak``, the two with
-        the highest peaks are yielded, the highest first.
+        The first of all is often right and is not screened. The others are screened in their order.
+        One with a clear peak, or in a picture too small for screening, is yielded at once. Of the
+        rest, those with the highest peaks of at least ``search.least_peak`` follow, the highest
+        first. The candidate of the method ``search.matcher`` is the last, and is not screened.
         """
-        yield from candidates[:1]
         least = self.refine.config.search.least_peak
-        others: list[ScreenedCandidate] = []
-        with progress_within("candidates", len(candidates)) as advance:
-            for done, screened in enumerate(screen(self.refine, query, candidates[1:], clock), 2):
-                if math.isnan(screened.peak) or screened.peak >= _CLEAR_PEAK * least:
-                    yield screened.candidate
-                elif screened.peak >= least:
-                    others.append(screened)
-                advance(done)
-        for each in sorted(others, key=lambda each: -each.peak)[:_MOST_UNCLEAR]:
+        unclear: list[ScreenedCandidate] = []
+        unscreened = 1
+        for candidates in self.find(query, clock):
+            yield from candidates[:unscreened]
+            others, unscreened = candidates[unscreened:], unscreened - len(candidates[:unscreened])
+            with progress_within("candidates", len(others)) as advance:
+                for done, screened in enumerate(screen(self.refine, query, others, clock), 1):
+                    if math.isnan(screened.peak) or screened.peak >= _CLEAR_PEAK * least:
+                        yield screened.candidate
+                    elif screened.peak >= least:
+                        unclear.append(screened)
+                    advance(done)
+        for each in sorted(unclear, key=lambda each: -each.peak)[:_MOST_UNCLEAR]:
             yield each.candidate
+        if self.matched_finder is not None:
+            yield from self._find_by_matcher(self.matched_finder, query, clock)
 
     def find(self, query: Query, clock: Stopwatch) -> Iterator[list[Candidate]]:
-        """Yield the candidates of each finder, in the order in which they are tried."""
+        """Yield the candidates of the coarse search and of the extra finder, in their order.
+
+        The candidate of the method ``search.matcher`` is not among them.
+        """
         finders: list[_Find] = [self._find_candidates]
         if self.extra_finder is not None:
             finders.insert(0 if self.extra_finder.is_first else 1, self._find_extra)
-        if self.matched_finder is not None:
-            finders.append(self._find_by_matcher)
         for find in finders:
             yield from find(query, clock)
 
@@ -219,12 +223,11 @@ class GlobalSearch:
             candidates = self.extra_finder.find(query)
         yield [each for each in candidates if is_near_prior(query.prior, each.pose)]
 
-    def _find_by_matcher(self, query: Query, clock: Stopwatch) -> Iterator[list[Candidate]]:
-        """Yield the candidate of the method ``search.matcher``."""
-        assert self.matched_finder is not None
+    @staticmethod
+    def _find_by_matcher(finder: MatchedFinder, query: Query, clock: Stopwatch) -> list[Candidate]:
+        """Return the candidate of the method ``search.matcher``, in a list."""
         with clock.stage("matcher"):
-            candidates = self.matched_finder.find(query)
-        yield candidates
+            return finder.find(query)
 
     def _find_candidates(self, query: Query, clock: Stopwatch) -> Iterator[list[Candidate]]:
         """Yield the candidates of the coarse search, list by list (``CoarseSearch.find``).

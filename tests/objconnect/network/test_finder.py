@@ -16,12 +16,17 @@ from numpy.typing import NDArray
 from benchmark.datasets.open import open_datasets
 from objconnect.localization.cache.map_cache import MapCache
 from objconnect.localization.cache.store import Store
-from objconnect.localization.coarse.headings import ALTITUDE_RATIOS, TILTS_DEG
+from objconnect.localization.coarse.headings import TILTS_DEG
 from objconnect.localization.coarse.search import Candidate
 from objconnect.localization.featuremetric.global_search import GlobalSearch
 from objconnect.localization.featuremetric.maps import MapExtractor
 from objconnect.localization.featuremetric.references import ReferenceSource, load_references
-from objconnect.network.finder import ObjectSearch, ObjectSearchOptions, allowed_poses
+from objconnect.network.finder import (
+    ALTITUDE_RATIOS,
+    ObjectSearch,
+    ObjectSearchOptions,
+    allowed_poses,
+)
 from objconnect.network.landmarks import Landmarks
 from objconnect.network.localizer import SHIPPED, ObjConnectConfig, ObjConnectLocalizer
 from objconnect.network.network import read_network

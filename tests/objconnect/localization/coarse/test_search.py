@@ -10,11 +10,18 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from objconnect.localization.coarse.finder import hypotheses
+from objconnect.localization.coarse.finder import ALTITUDE_RATIOS, hypotheses
 from objconnect.localization.coarse.grid import GroundGrid, ground_grid
-from objconnect.localization.coarse.headings import ALTITUDE_RATIOS, tilt_rotations
+from objconnect.localization.coarse.headings import tilt_rotations
 from objconnect.localization.coarse.mosaic import Mosaic, empty_mosaic
-from objconnect.localization.coarse.search import Candidate, Hypotheses, MosaicSearch
+from objconnect.localization.coarse.search import (
+    Candidate,
+    Hypotheses,
+    MosaicSearch,
+    Peak,
+    RoughPeaks,
+    _divide_by_noise,
+)
 from objconnect.localization.featuremetric.maps import FeatureMap
 from objconnect.scene.geometry.camera import Camera
 from objconnect.scene.geometry.pose import Pose, so3_exp
@@ -95,7 +102,7 @@ def test_place_heading_and_altitude_are_found(mosaic: Mosaic, tilt: float, heigh
     best, *others = search(mosaic, true, hypotheses, 3)
     metres, degrees = off(best.pose, true)
     assert metres < 3 * CELL and degrees < 6
-    assert best.score > 0.6 and all(each.score < best.score for each in others)
+    assert best.score > 16 and all(each.score < best.score for each in others)
 
 
 def test_a_large_mosaic_is_searched_at_half_resolution(
@@ -107,7 +114,19 @@ def test_a_large_mosaic_is_searched_at_half_resolution(
     best = search(mosaic, true, Hypotheses(passes, [0.0], [45.0, 60.0, 80.0]), 1)[0]
     metres, degrees = off(best.pose, true)
     assert metres < 3 * CELL and degrees < 6
-    assert best.score > 0.6
+    assert best.score > 16
+
+
+def test_scores_are_divided_by_the_noise_of_all_views_at_their_tilt_and_altitude() -> None:
+    low, high = (Peak(0.4, 0.0, 0.0, altitude, DOWN, 1.0) for altitude in (40.0, 80.0))
+    first = [RoughPeaks([low], 3.0, 100), RoughPeaks([high], 0.5, 100)]
+    second = [RoughPeaks([], 5.0, 100), RoughPeaks([high], 1.5, 100)]
+    divided = _divide_by_noise([first, second])
+    assert [[peak.noise for peak in view] for view in divided] == [
+        pytest.approx([0.2, 0.1]),
+        pytest.approx([0.1]),
+    ]
+    assert [peak.score for peak in divided[0]] == pytest.approx([2.0, 4.0])
 
 
 def test_turns_between_passes_are_tried(mosaic: Mosaic) -> None:
@@ -125,9 +144,9 @@ def test_places_are_sought_where_the_prior_lets_them_be(mosaic: Mosaic) -> None:
     for candidate in search(mosaic, true, elsewhere, 5):
         x, y, _ = candidate.pose.centre().tolist()
         assert math.hypot(x + 40, y - 40) <= 15
-        assert candidate.score < 0.4
+        assert candidate.score < 8
     there = Hypotheses([DOWN], [0.0], [60.0], region=(10.0, -15.0, 15.0))
-    assert search(mosaic, true, there, 1)[0].score > 0.6
+    assert search(mosaic, true, there, 1)[0].score > 16
 
 
 @pytest.mark.parametrize(("sigma", "radius"), [(5.0, 19.0), (2.0, 10.0)])

@@ -78,11 +78,12 @@ def east(pose: Pose) -> float:
 def search(
     *attempts: Attempt,
     eastings: Sequence[float] = (80,),
+    more_eastings: Sequence[float] = (),
     starts: list[float] | None = None,
     matched: float | None = None,
     bounds: list[tuple[SearchRadius, float]] | None = None,
 ) -> GlobalSearch:
-    """A search with candidates at these eastings, whose refiner gives these attempts in turn.
+    """A search with two lists of candidates, whose refiner gives these attempts in turn.
 
     The pose of another method is at the easting ``matched``.
     """
@@ -102,8 +103,11 @@ def search(
         return next(given)
 
     refine = SimpleNamespace(config=SimpleNamespace(search=OPTIONS), align_near=near)
-    candidates = [Candidate(at(each), 0.0, PoseSource.PLACE) for each in eastings]
-    coarse = SimpleNamespace(find=lambda _: iter([candidates]))
+    lists = [
+        [Candidate(at(each), 0.0, PoseSource.PLACE) for each in some]
+        for some in (eastings, more_eastings)
+    ]
+    coarse = SimpleNamespace(find=lambda _: iter(lists))
     finder = None
     if matched is not None:
         another = Candidate(at(matched), 0.0, PoseSource.MATCHES)
@@ -181,13 +185,32 @@ def test_candidates_of_low_peaks_are_not_aligned(peaks: dict[float, float]) -> N
     assert starts == [10, 20]
 
 
-def test_two_candidates_without_a_clear_peak_are_aligned(peaks: dict[float, float]) -> None:
-    peaks.update({20: 3.6, 30: 4.5, 40: 4.0})
+def test_the_three_highest_of_all_unclear_peaks_are_aligned_last(peaks: dict[float, float]) -> None:
+    peaks.update({20: 3.6, 30: 4.5, 40: 4.0, 50: 4.2, 60: 6.0})
     starts: list[float] = []
-    attempts = align(10, 0.1), align(30, 0.1), align(40, 0.1)
-    found = search(*attempts, eastings=(10, 20, 30, 40), starts=starts)(QUERY, None, Stopwatch())
+    attempts = [align(each, 0.1) for each in (10, 60, 30, 50, 40)]
+    searched = search(*attempts, eastings=(10, 20, 30), more_eastings=(40, 50, 60), starts=starts)
+    found = searched(QUERY, None, Stopwatch())
     assert found is not None and found.status is Status.FALLBACK
-    assert starts == [10, 30, 40]
+    assert starts == [10, 60, 30, 50, 40]
+
+
+def test_the_first_candidate_of_a_later_list_is_screened(peaks: dict[float, float]) -> None:
+    peaks.update({40: 2.0})
+    starts: list[float] = []
+    searched = search(align(10, 0.1), eastings=(10,), more_eastings=(40,), starts=starts)
+    found = searched(QUERY, None, Stopwatch())
+    assert found is not None and found.status is Status.FALLBACK
+    assert starts == [10]
+
+
+def test_the_first_candidate_of_all_is_not_screened(peaks: dict[float, float]) -> None:
+    peaks.update({40: 2.0, 50: 2.0})
+    starts: list[float] = []
+    searched = search(align(40, 0.1), eastings=(), more_eastings=(40, 50), starts=starts)
+    found = searched(QUERY, None, Stopwatch())
+    assert found is not None and found.status is Status.FALLBACK
+    assert starts == [40]
 
 
 def test_a_picture_too_small_to_be_screened_is_aligned(peaks: dict[float, float]) -> None:
