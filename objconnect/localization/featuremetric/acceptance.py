@@ -13,6 +13,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from objconnect.localization.featuremetric.calibration_files import CalibrationFile
@@ -70,10 +72,15 @@ class AcceptanceModel(CalibrationFile):
         return _clip_log_odds(self.matched.bias + self.matched.inliers * math.log(inliers))
 
     def rate(self, matched: Estimate) -> Estimate:
-        """Return a pose from matches with the probability that it is right."""
+        """Return a pose from matches with the probability that it is right.
+
+        It is the probability of the place, times that of an error below ``RIGHT_M`` in the right
+        place. The regression sees the inliers alone, but many inliers may lie close together.
+        """
         if matched.status is not Status.OK:
             return matched
-        return replace(matched, probability=_probability(self.match_log_odds(matched.inliers)))
+        place = _probability(self.match_log_odds(matched.inliers))
+        return replace(matched, probability=place * _share_within(RIGHT_M, matched.covariance))
 
 
 def log_odds_of(probability: float | None) -> float:
@@ -81,6 +88,17 @@ def log_odds_of(probability: float | None) -> float:
     if not probability:
         return -math.inf
     return _clip_log_odds(math.log(probability) - math.log1p(-min(probability, 1 - 1e-12)))
+
+
+def _share_within(metres: float, covariance: NDArray[np.float64] | None) -> float:
+    """Return the probability of a position error below ``metres``; 1 without a covariance.
+
+    The error is taken along one axis, because one axis usually has most of the variance.
+    """
+    if covariance is None:
+        return 1.0
+    variance = float(np.trace(covariance[3:, 3:]))
+    return math.erf(metres / math.sqrt(2 * variance)) if variance > 0 else 1.0
 
 
 def _probability(log_odds: float) -> float:

@@ -18,7 +18,7 @@ from objconnect.localization.pipeline.answers import (
     encode_files,
     output_files,
 )
-from objconnect.localization.pipeline.cameras import CameraSource, add_focal_error
+from objconnect.localization.pipeline.cameras import add_focal_error, focal_sigma
 from objconnect.localization.pipeline.disagreement import warn_of_disagreement
 from objconnect.localization.pipeline.failures import localize_safely, localize_with_retry
 from objconnect.localization.pipeline.frames import VideoFrames
@@ -216,9 +216,10 @@ class _Job:
         """Combine an estimate with the metadata of its image."""
         camera = None if image.query is None else image.query.camera
         source = None if image.calibration is None else image.calibration.source
-        if camera is not None and source is CameraSource.ESTIMATED:
+        if camera is not None and source is not None:
+            sigma = focal_sigma(camera, source, self.localization_map.cameras)
             points = self.localization_map.sparse_map.xyz
-            estimate = add_focal_error(estimate, camera, self.localization_map.cameras, points)
+            estimate = add_focal_error(estimate, camera, sigma, points)
         return ImageEstimate(
             image.name,
             estimate,

@@ -101,6 +101,14 @@ def test_matches_that_found_nothing_are_not_rated() -> None:
     assert found.probability is not None and found.probability > 0.99
 
 
+def test_an_inexact_pose_from_many_matches_is_not_sure_to_be_right() -> None:
+    """Of errors with a standard deviation of 10 m, 38 % are below 5 m."""
+    model = AcceptanceModel.load_beside(None)
+    covariance = np.diag([1e-6] * 3 + [0.0, 0.0, 100.0])
+    found = model.rate(Estimate(Status.OK, pose(0), covariance, inliers=500))
+    assert found.probability == pytest.approx(0.383, abs=0.001)
+
+
 def test_weights_of_a_user_have_a_model_of_their_own(tmp_path: Path) -> None:
     weights = tmp_path / "own.safetensors"
     shipped = AcceptanceModel.load_beside(weights)

@@ -19,6 +19,7 @@ from objconnect.localization.pipeline.cameras import (
     add_focal_error,
     calibration_of,
     estimate_camera,
+    focal_sigma,
 )
 from objconnect.scene.colmap.absolute_pose import estimate_absolute_pose
 from objconnect.scene.geometry.camera import Camera
@@ -114,19 +115,26 @@ def test_the_map_decides_between_fields(true: int) -> None:
     assert estimate_camera(cameras, [query], localize) == cameras[true]
 
 
-def test_an_estimated_focal_length_is_part_of_the_sigma() -> None:
+def test_an_uncalibrated_focal_length_is_part_of_the_sigma() -> None:
     pose, covariance = pose_at(1), np.diag([1e-8] * 3 + [0.01] * 3)
     height = float(pose.centre()[2])
     ground = np.array([[x, y, 0.0] for x in range(-90, 91, 3) for y in range(-90, 91, 3)])
     estimate = Estimate(Status.OK, pose, covariance)
     pinhole = Camera("SIMPLE_PINHOLE", 96, 64, (80.0, 48.0, 32.0))
-    for camera, share in ((pinhole, 0.06), (CAMERA, 0.005)):
-        wider = add_focal_error(estimate, camera, [CAMERA], ground).world_covariance()
+    for camera, source, share in (
+        (pinhole, CameraSource.ESTIMATED, 0.06),
+        (CAMERA, CameraSource.ESTIMATED, 0.005),
+        (pinhole, CameraSource.EXIF, 0.03),
+        (pinhole, CameraSource.GIVEN, 0.0),
+        (CAMERA, CameraSource.MAP, 0.0),
+    ):
+        sigma = focal_sigma(camera, source, [CAMERA])
+        wider = add_focal_error(estimate, camera, sigma, ground).world_covariance()
         assert wider is not None
         up = float(np.sqrt(wider[2, 2]))
         assert up == pytest.approx(np.hypot(0.1, share * height), rel=0.1)
     lost = Estimate(Status.FAILED)
-    assert add_focal_error(lost, CAMERA, [CAMERA], ground) == lost
+    assert add_focal_error(lost, CAMERA, 0.06, ground) == lost
 
 
 @pytest.mark.parametrize("truth", [0.55, 0.8, 1.1])
