@@ -1,9 +1,9 @@
 """Localization of an image with an incomplete or missing prior.
 
 SIFT matches, objects of the map, the coarse search and the method of the option ``search.matcher``
-give candidates. The first candidate of all is refined, then those whose rough alignment has a high
-peak-to-sidelobe ratio, and last the few best of the others. The first probable refined pose ends
-the search.
+give lists of candidates. The first candidate of each list is refined, then those whose rough
+alignment has a high peak-to-sidelobe ratio, and last the few best of all others. The first probable
+refined pose ends the search.
 """
 
 from __future__ import annotations
@@ -151,19 +151,20 @@ class GlobalSearch:
     def _select_promising(self, query: Query, clock: Stopwatch) -> Iterator[Candidate]:
         """Yield the candidates that are worth a full alignment.
 
-        The first of all is often right and is not screened. The others are screened in their order.
-        One with a clear peak, or in a picture too small for screening, is yielded at once. Of the
-        rest, those with the highest peaks of at least ``search.least_peak`` follow, the highest
-        first. The candidate of the method ``search.matcher`` is the last, and is not screened.
+        The first of each list is often right and is not screened. The others are screened in their
+        order. One with a clear peak, or in a picture too small for screening, is yielded at once.
+        Of the rest, those with the highest peaks of at least ``search.least_peak`` follow, the
+        highest first. The candidate of the method ``search.matcher`` is the last, and is not
+        screened.
         """
         least = self.refine.config.search.least_peak
         unclear: list[ScreenedCandidate] = []
-        unscreened = 1
         for candidates in self.find(query, clock):
-            yield from candidates[:unscreened]
-            others, unscreened = candidates[unscreened:], unscreened - len(candidates[:unscreened])
-            with progress_within("candidates", len(others)) as advance:
-                for done, screened in enumerate(screen(self.refine, query, others, clock), 1):
+            yield from candidates[:1]
+            with progress_within("candidates", len(candidates)) as advance:
+                for done, screened in enumerate(
+                    screen(self.refine, query, candidates[1:], clock), 2
+                ):
                     if math.isnan(screened.peak) or screened.peak >= _CLEAR_PEAK * least:
                         yield screened.candidate
                     elif screened.peak >= least:
