@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from benchmark.cli.options import ClusterAddress, DeviceName, Json, MappedScene, Undulation
 from benchmark.cli.output import Summary, emit
 from objconnect.scene.errors import InputError
+
+if TYPE_CHECKING:
+    from objconnect.scene.bundle.georeference import Georeference
 
 app = typer.Typer(rich_markup_mode=None)
 
@@ -167,30 +170,32 @@ def build_map(
         raise InputError("--ortho makes a new scene in --out: leave SCENE out")
     if dsm is None or out is None:
         raise InputError("--ortho needs --dsm and --out: give both")
-    if georeference is None and georeference_height is not None:
-        raise InputError("--georeference-height needs --georeference: give both")
     from objconnect.ingestion.virtual.options import ViewOptions
     from objconnect.mapping.orthophoto import map_orthophoto
-    from objconnect.scene.bundle.georeference import Georeference
 
-    options = ViewOptions.model_validate({k: v for k, v in views.items() if v is not None})
-    on_earth = None
-    if georeference is not None:
-        on_earth = Georeference(
-            horizontal_m=georeference, vertical_m=georeference_height, source="stated"
-        )
     virtual, report = map_orthophoto(
         ortho,
         dsm,
         out,
         undulation=undulation,
-        options=options,
-        georeference=on_earth,
+        options=ViewOptions.model_validate({k: v for k, v in views.items() if v is not None}),
+        georeference=_stated_accuracy(georeference, georeference_height),
         method=method.value,
         cluster=cluster,
     )
     summary = {"virtual": virtual.as_dict(), **report.as_dict()}
     emit(Summary(f"{virtual.text()}\n{report.text()}", summary), as_json)
+
+
+def _stated_accuracy(horizontal_m: float | None, vertical_m: float | None) -> Georeference | None:
+    """Return the absolute accuracy of an orthophoto's files; None if it is not stated."""
+    from objconnect.scene.bundle.georeference import Georeference
+
+    if horizontal_m is not None:
+        return Georeference(horizontal_m=horizontal_m, vertical_m=vertical_m, source="stated")
+    if vertical_m is not None:
+        raise InputError("--georeference-height needs --georeference: give both")
+    return None
 
 
 @app.command()
