@@ -10,9 +10,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
+from objconnect.scene.bundle.manifest import Origin
 from objconnect.scene.config import Config, load_config
 from objconnect.scene.geometry.camera import Camera
-from objconnect.scene.geometry.geodesy import Geodetic
 from simulate.camera.lens import CameraConfig, cover_by_pinhole
 from simulate.camera.sensor import SensorConfig
 from simulate.flight.config import (
@@ -232,7 +232,7 @@ class SimulateConfig(Config):
     attitude_jitter_deg: float = Field(
         1.5, ge=0, description="Standard deviation of attitudes by wind, per axis, deg."
     )
-    gps_sigma_m: tuple[float, float, float] = Field(
+    gps_sigma_m: tuple[NotNegative, NotNegative, NotNegative] = Field(
         (1.5, 1.5, 2.5),
         description="Standard deviation of the white noise of position priors east, north and up, "
         "m.",
@@ -260,7 +260,7 @@ class SimulateConfig(Config):
         description="Whether each photograph has thermal pictures of 16 and 8 bits beside it.",
     )
     jpeg_quality: int = Field(95, ge=1, le=100, description="Quality of the JPEGs, 1 to 100.")
-    origin: Geodetic = Field(
+    origin: Origin = Field(
         DEFAULT_ORIGIN,
         description="Latitude (deg), longitude (deg) and altitude (m) of the origin.",
     )

@@ -192,8 +192,11 @@ def _read(path: Path) -> str:
 
 
 def describe(error: ValidationError, model: type[BaseModel], where: str) -> str:
-    """Return the first error of a validation as one line that names the key."""
-    first = error.errors()[0]
+    """Return the first error of a validation as one line that names the key.
+
+    Unknown keys come before missing ones, because the known key may be misspelt.
+    """
+    first = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
     key = ".".join(str(part) for part in first["loc"]) or model.__name__
     if first["type"] == "extra_forbidden":
         return f"unknown key '{key}' {where}{_list_keys(model, first['loc'][:-1])}"

@@ -255,6 +255,10 @@ def test_the_estimate_holds_what_a_scene_takes(rendered: Scene) -> None:
         ({"altitude": 90}, "unknown key 'altitude'"),
         ({"area": -5}, "area"),
         ({"frames": 0}, "frames"),
+        ({"origin": [91, 0, 0]}, "'origin'.*not on earth"),
+        ({"origin": [47, 200, 0]}, "'origin'.*not on earth"),
+        ({"gps_sigma_m": [-1, 1, 1]}, "'gps_sigma_m.0'"),
+        ({"map_plan": {"altitude_m": -10}}, "unknown key 'map_plan.altitude_m'"),
     ],
 )
 def test_bad_configuration_is_one_line(overrides: dict[str, object], message: str) -> None:

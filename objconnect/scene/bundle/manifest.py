@@ -14,7 +14,6 @@ from pydantic import (
     FiniteFloat,
     SerializerFunctionWrapHandler,
     ValidationError,
-    field_validator,
     model_serializer,
 )
 
@@ -49,9 +48,18 @@ def _condition(value: str) -> str:
     return value
 
 
+def _place(value: Geodetic) -> Geodetic:
+    if not is_on_earth(value):
+        raise ValueError(
+            "it is not on earth: expected latitude and longitude in degrees, altitude in metres"
+        )
+    return value
+
+
 ALL_CONDITIONS: Final = "all"
 """Name of the row of result tables over all conditions; no condition may have it."""
 
+Origin = Annotated[Geodetic, AfterValidator(_place)]
 Condition = Annotated[str, AfterValidator(_condition)]
 Name = Annotated[str, AfterValidator(_name)]
 FolderName = Annotated[str, AfterValidator(_folder)]
@@ -132,21 +140,12 @@ class Manifest(Record):
     preset: str | None
     seed: int | None
     config: dict[str, Any]
-    origin: Geodetic
+    origin: Origin
     reference: Literal["exact", "sfm"] = "exact"
     georeference: Georeference | None = None
     sessions: dict[FolderName, Session] = Field(min_length=1)
     sha256: dict[str, str]
     pixels_sha256: dict[str, dict[str, str]] = Field(default_factory=dict)
-
-    @field_validator("origin")
-    @classmethod
-    def _on_earth(cls, origin: Geodetic) -> Geodetic:
-        if not is_on_earth(origin):
-            raise ValueError(
-                "it is not on earth: expected latitude and longitude in degrees, altitude in metres"
-            )
-        return origin
 
     @model_serializer(mode="wrap")
     def _omit_missing_georeference(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
