@@ -230,7 +230,7 @@ class MosaicSearch:
             is_known = share >= MIN_OVERLAP
             scores = (sums / (share.sqrt() * total)).where(is_known, 0.0).cpu()
             squares = scores.square().view(len(altitude), -1).sum(1).tolist()
-            number = is_known.view(len(altitude), -1).sum(1).tolist()
+            number = is_known.view(len(altitude), -1).sum(1).cpu().tolist()
             first = torch.from_numpy(grid.origin) + grid.cell / 2 - to_middle
             if hypotheses.region is not None:
                 scores[_distance_from(hypotheses.region, first, grid) > hypotheses.region[2]] = 0.0
