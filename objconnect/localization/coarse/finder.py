@@ -56,9 +56,9 @@ _TURNS: Final = 5
 _CELL_PX: Final = 16
 # Number of principal components to which features are reduced. It bounds time and memory.
 _CHANNELS: Final = 32
-ALTITUDE_RATIOS: Final = (0.5, 0.57, 0.66, 0.76, 0.87, 1.0, 1.15, 1.32, 1.52, 1.74, 2.0)
+ALTITUDE_RATIOS: Final = (0.5, 0.6, 0.72, 0.87, 1.04, 1.25, 1.5, 1.8)
 """Heights above ground to try where the altitude is unknown, relative to the height of the map's
-photographs. Each is about 15 % larger than the one before."""
+photographs. Each is a fifth larger than the one before."""
 LONGER_SIDE_PX: Final = 256
 """Photographs are resized to about this longer side (px), so that the features of
 a cell describe a large patch of ground."""
